@@ -1,0 +1,332 @@
+//! Adaptive Dormand–Prince 5(4) with dense output.
+//!
+//! Tableau: Dormand & Prince (1980), J. Comput. Appl. Math. 6, 19–26, RK5(4)7M. Dense output of
+//! order 4: Shampine (1986), Math. Comp. 46, 135–150. Step control: the PI controller of Hairer,
+//! Nørsett & Wanner, Solving Ordinary Differential Equations I, section II.4 and IV.2.
+
+use std::ops::ControlFlow;
+
+use nalgebra::SVector;
+
+use crate::error::{DriftError, positive};
+
+const C: [f64; 5] = [1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0];
+const A: [&[f64]; 5] = [
+    &[1.0 / 5.0],
+    &[3.0 / 40.0, 9.0 / 40.0],
+    &[44.0 / 45.0, -56.0 / 15.0, 32.0 / 9.0],
+    &[19372.0 / 6561.0, -25360.0 / 2187.0, 64448.0 / 6561.0, -212.0 / 729.0],
+    &[9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0],
+];
+/// Weights of order 5; the stage at the end of the step is the first of the next.
+const B: [f64; 6] =
+    [35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0];
+/// Order-5 weights less the embedded order-4 weights.
+const E: [f64; 7] = [
+    71.0 / 57600.0,
+    0.0,
+    -71.0 / 16695.0,
+    71.0 / 1920.0,
+    -17253.0 / 339200.0,
+    22.0 / 525.0,
+    -1.0 / 40.0,
+];
+/// Weight of each stage in the powers `u, u², u³, u⁴` of the place in the step.
+const D: [[f64; 4]; 7] = [
+    [
+        1.0,
+        -8048581381.0 / 2820520608.0,
+        8663915743.0 / 2820520608.0,
+        -12715105075.0 / 11282082432.0,
+    ],
+    [0.0; 4],
+    [
+        0.0,
+        131558114200.0 / 32700410799.0,
+        -68118460800.0 / 10900136933.0,
+        87487479700.0 / 32700410799.0,
+    ],
+    [
+        0.0,
+        -1754552775.0 / 470086768.0,
+        14199869525.0 / 1410260304.0,
+        -10690763975.0 / 1880347072.0,
+    ],
+    [
+        0.0,
+        127303824393.0 / 49829197408.0,
+        -318862633887.0 / 49829197408.0,
+        701980252875.0 / 199316789632.0,
+    ],
+    [0.0, -282668133.0 / 205662961.0, 2019193451.0 / 616988883.0, -1453857185.0 / 822651844.0],
+    [0.0, 40617522.0 / 29380423.0, -110615467.0 / 29380423.0, 69997945.0 / 29380423.0],
+];
+
+/// Tolerances and step limits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Relative tolerance on the local error.
+    pub rtol: f64,
+    /// Absolute tolerance on the local error, in the units of the state.
+    pub atol: f64,
+    /// Largest step [time].
+    pub max_step: f64,
+    /// First step [time]; estimated from the slope if none is given.
+    pub first_step: Option<f64>,
+}
+
+impl Options {
+    /// Fails unless each number is finite and above 0.
+    pub fn validated(self) -> Result<Self, DriftError> {
+        positive("rtol", self.rtol)?;
+        positive("atol", self.atol)?;
+        positive("max_step", self.max_step)?;
+        if let Some(step) = self.first_step {
+            positive("first_step", step)?;
+        }
+        Ok(self)
+    }
+}
+
+/// One accepted step with its interpolant.
+#[derive(Debug, Clone)]
+pub struct Step<const N: usize> {
+    /// Start of the step.
+    pub t: f64,
+    /// Length of the step.
+    pub h: f64,
+    /// State at the start.
+    pub y: SVector<f64, N>,
+    /// State at the end.
+    pub y_end: SVector<f64, N>,
+    /// Change of the state as a polynomial in the place `u` in the step: powers 1 to 4.
+    pub powers: [SVector<f64, N>; 4],
+}
+
+impl<const N: usize> Step<N> {
+    /// End of the step.
+    pub fn end(&self) -> f64 {
+        self.t + self.h
+    }
+
+    /// State at a time inside the step.
+    pub fn state(&self, t: f64) -> SVector<f64, N> {
+        let u = (t - self.t) / self.h;
+        let [p1, p2, p3, p4] = self.powers;
+        self.y + (p1 + (p2 + (p3 + p4 * u) * u) * u) * u
+    }
+
+    /// Bounds of |y(u) − y(0)| and of |dy/dt| over the step, of the components `i` and `i + 1`.
+    pub fn reach(&self, i: usize) -> (f64, f64) {
+        let size = |p: &SVector<f64, N>| p[i].hypot(p[i + 1]);
+        let distance = self.powers.iter().map(size).sum();
+        let speed: f64 = (1..=4).zip(&self.powers).map(|(k, p)| f64::from(k) * size(p)).sum();
+        (distance, speed / self.h)
+    }
+}
+
+/// Work done by an integration.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Steps accepted.
+    pub accepted: usize,
+    /// Steps rejected.
+    pub rejected: usize,
+    /// Evaluations of the right-hand side.
+    pub evaluations: usize,
+}
+
+const SAFETY: f64 = 0.9;
+const MIN_FACTOR: f64 = 0.2;
+const MAX_FACTOR: f64 = 5.0;
+/// Weight of the integral and the proportional part of the controller.
+const INTEGRAL: f64 = 0.17;
+const PROPORTIONAL: f64 = 0.04;
+const MAX_STEPS: usize = 50_000_000;
+
+/// Integrates `y' = rhs(t, y)` from `t0` to `t1`, handing every accepted step to `on_step`, which
+/// may stop the integration. Returns the work done and the step the controller would take next.
+pub fn integrate<const N: usize>(
+    mut rhs: impl FnMut(f64, &SVector<f64, N>) -> Result<SVector<f64, N>, DriftError>,
+    (t0, t1): (f64, f64),
+    y0: SVector<f64, N>,
+    options: Options,
+    mut on_step: impl FnMut(&Step<N>) -> Result<ControlFlow<()>, DriftError>,
+) -> Result<(Work, f64), DriftError> {
+    let options = options.validated()?;
+    let (mut t, mut y) = (t0, y0);
+    let mut k = [SVector::<f64, N>::zeros(); 7];
+    k[0] = rhs(t, &y)?;
+    let mut work = Work { evaluations: 1, ..Work::default() };
+    let mut h = options.first_step.unwrap_or_else(|| first_step(&k[0], &y, options, t1 - t0));
+    let mut last_error: f64 = 1e-4;
+    while t < t1 {
+        if work.accepted + work.rejected >= MAX_STEPS {
+            return Err(DriftError::Integration { t, reason: "too many steps" });
+        }
+        h = h.min(options.max_step);
+        let left = t1 - t;
+        let lands = h >= left * (1.0 - 1e-12);
+        // Halve what is left rather than leave a sliver behind.
+        let trial = if lands {
+            left
+        } else if 2.0 * h > left {
+            left / 2.0
+        } else {
+            h
+        };
+        if !lands && trial <= 8.0 * f64::EPSILON * t.abs().max(t1.abs()) {
+            return Err(DriftError::Integration { t, reason: "the step fell below rounding" });
+        }
+        let end = if lands { t1 } else { t + trial };
+        for stage in 1..6 {
+            let at = t + C[stage - 1] * trial;
+            k[stage] = rhs(at, &(y + weighted(A[stage - 1], &k) * trial))?;
+        }
+        let y_end = y + weighted(&B, &k) * trial;
+        k[6] = rhs(end, &y_end)?;
+        work.evaluations += 6;
+        let error = scaled_norm(&(weighted(&E, &k) * trial), &y, &y_end, options);
+        if !error.is_finite() {
+            return Err(DriftError::Integration { t, reason: "the state is not finite" });
+        }
+        if error > 1.0 {
+            work.rejected += 1;
+            h = trial * (SAFETY * error.powf(-0.2)).max(MIN_FACTOR);
+            continue;
+        }
+        work.accepted += 1;
+        let powers =
+            std::array::from_fn(|power| weighted(&D.map(|weights| weights[power]), &k) * trial);
+        let step = Step { t, h: end - t, y, y_end, powers };
+        let error = error.max(1e-10);
+        let factor = SAFETY * error.powf(-INTEGRAL) * last_error.powf(PROPORTIONAL);
+        let proposal = trial * factor.clamp(MIN_FACTOR, MAX_FACTOR);
+        // A step cut short at the end says little about the step that could have been taken.
+        h = if trial < h { h.max(proposal) } else { proposal };
+        last_error = error;
+        (t, y) = (end, y_end);
+        k[0] = k[6];
+        if on_step(&step)?.is_break() {
+            break;
+        }
+    }
+    Ok((work, h))
+}
+
+fn weighted<const N: usize>(weights: &[f64], k: &[SVector<f64, N>; 7]) -> SVector<f64, N> {
+    let mut sum = SVector::<f64, N>::zeros();
+    for (weight, k) in weights.iter().zip(k) {
+        sum += k * *weight;
+    }
+    sum
+}
+
+fn scaled_norm<const N: usize>(
+    error: &SVector<f64, N>,
+    y: &SVector<f64, N>,
+    y_end: &SVector<f64, N>,
+    options: Options,
+) -> f64 {
+    (0..N)
+        .map(|i| {
+            let scale = options.atol + options.rtol * y[i].abs().max(y_end[i].abs());
+            (error[i] / scale).abs()
+        })
+        .fold(0.0, f64::max)
+}
+
+/// A first step whose change of the state is a hundredth of the tolerance's reach.
+fn first_step<const N: usize>(
+    slope: &SVector<f64, N>,
+    y: &SVector<f64, N>,
+    options: Options,
+    span: f64,
+) -> f64 {
+    let size = scaled_norm(slope, y, y, options) * options.rtol.powf(0.8);
+    let guess = if size > 0.0 { 0.01 / size } else { span };
+    guess.min(options.max_step).min(span)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector2;
+
+    /// x'' = −x with a forced frequency: exact solution (cos t, −sin t).
+    fn oscillator(_: f64, y: &Vector2<f64>) -> Result<Vector2<f64>, DriftError> {
+        Ok(Vector2::new(y.y, -y.x))
+    }
+
+    /// One step of length `h`: errors at the end and in the middle, and the error estimate's size.
+    fn one_step(h: f64) -> Result<(f64, f64, f64), DriftError> {
+        let wide = Options { rtol: 1.0, atol: 1.0, max_step: h, first_step: Some(h) };
+        let mut errors = (0.0, 0.0, 0.0);
+        integrate(oscillator, (0.0, h), Vector2::new(1.0, 0.0), wide, |step| {
+            let exact = |t: f64| Vector2::new(t.cos(), -t.sin());
+            // Five accepted places, so that no accidental zero of the interpolant's error counts.
+            let middle = (1..=5)
+                .map(|k| f64::from(k) * h / 6.0)
+                .map(|t| (step.state(t) - exact(t)).norm())
+                .fold(0.0, f64::max);
+            let slopes = step.powers[0] / h - Vector2::new(0.0, -1.0);
+            errors = ((step.y_end - exact(h)).norm(), middle, slopes.norm());
+            Ok(ControlFlow::Continue(()))
+        })?;
+        Ok(errors)
+    }
+
+    #[test]
+    fn tableau_is_consistent() {
+        for (c, a) in C.iter().zip(A) {
+            assert!((a.iter().sum::<f64>() - c).abs() < 1e-15);
+        }
+        assert!((B.iter().sum::<f64>() - 1.0).abs() < 1e-15);
+        assert!(E.iter().sum::<f64>().abs() < 1e-15);
+        // The interpolant ends at the step's end: the powers of each stage sum to its weight.
+        for (stage, d) in D.iter().enumerate() {
+            let weight = B.get(stage).copied().unwrap_or(0.0);
+            assert!((d.iter().sum::<f64>() - weight).abs() < 1e-13, "stage {stage}");
+        }
+    }
+
+    /// Local orders: 6 at the end of a step (method of order 5), 5 inside it (interpolant of
+    /// order 4), measured by halving the step.
+    #[test]
+    fn local_orders() -> Result<(), DriftError> {
+        let (coarse, fine) = (one_step(0.4)?, one_step(0.2)?);
+        let order = |a: f64, b: f64| (a / b).log2();
+        assert!((order(coarse.0, fine.0) - 6.0).abs() < 0.3, "{}", order(coarse.0, fine.0));
+        assert!((order(coarse.1, fine.1) - 5.0).abs() < 0.3, "{}", order(coarse.1, fine.1));
+        assert!(coarse.2 < 1e-14);
+        Ok(())
+    }
+
+    #[test]
+    fn meets_its_tolerance() -> Result<(), DriftError> {
+        for rtol in [1e-6, 1e-9, 1e-12] {
+            let options = Options { rtol, atol: rtol, max_step: 10.0, first_step: None };
+            let mut last = Vector2::zeros();
+            integrate(oscillator, (0.0, 20.0), Vector2::new(1.0, 0.0), options, |step| {
+                last = step.y_end;
+                Ok(ControlFlow::Continue(()))
+            })?;
+            let error = (last - Vector2::new(20f64.cos(), -20f64.sin())).norm();
+            assert!(error < 100.0 * rtol, "rtol {rtol}: error {error}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn blow_up_is_an_error() {
+        let options = Options { rtol: 1e-6, atol: 1e-6, max_step: 1.0, first_step: None };
+        let run = integrate(
+            |_, y: &Vector2<f64>| Ok(y.component_mul(y)),
+            (0.0, 2.0),
+            Vector2::new(1.0, 1.0),
+            options,
+            |_| Ok(ControlFlow::Continue(())),
+        );
+        assert!(matches!(run, Err(DriftError::Integration { .. })));
+    }
+}

@@ -1,0 +1,378 @@
+//! Harmonics on a regular grid, interpolated by cubic B-splines.
+//!
+//! The splines are twice continuously differentiable, so gradients and second derivatives of the
+//! coefficients are continuous where order 2 needs them; and a spline lies within the convex hull
+//! of its coefficients, which gives the bounds of [`SeaField::bounds`] without sampling.
+
+use num_complex::Complex64;
+
+use super::{FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase, phasors};
+use crate::error::{DriftError, positive};
+
+/// Regular axis of `count` grid points; an axis of one point is constant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Axis {
+    /// First grid point.
+    pub start: f64,
+    /// Spacing, above 0.
+    pub step: f64,
+    /// Number of grid points: 1, or at least 4.
+    pub count: usize,
+}
+
+/// Weights of the spline coefficients around one point of an axis: value, first, second derivative.
+struct Stencil {
+    first: usize,
+    value: [f64; 4],
+    slope: [f64; 4],
+    curvature: [f64; 4],
+}
+
+impl Axis {
+    fn validated(self, name: &'static str) -> Result<Self, DriftError> {
+        positive(name, self.step)?;
+        if self.count != 1 && self.count < 4 {
+            return Err(DriftError::invalid(
+                name,
+                format!("{} grid points", self.count),
+                "cubic splines need 1 (constant) or at least 4",
+            ));
+        }
+        Ok(self)
+    }
+
+    /// Number of spline coefficients.
+    fn coefficients(&self) -> usize {
+        if self.count == 1 { 1 } else { self.count + 2 }
+    }
+
+    fn contains(&self, at: f64) -> bool {
+        self.count == 1 || (0.0..=(self.count - 1) as f64).contains(&((at - self.start) / self.step))
+    }
+
+    /// Cell of `at` and the place inside it, 0…1; beyond the axis the end cells are continued.
+    fn cell(&self, at: f64) -> (usize, f64) {
+        let place = (at - self.start) / self.step;
+        let cell = place.floor().clamp(0.0, (self.count - 2) as f64);
+        (cell as usize, place - cell)
+    }
+
+    fn stencil(&self, at: f64) -> Stencil {
+        if self.count == 1 {
+            let constant = [1.0, 0.0, 0.0, 0.0];
+            return Stencil { first: 0, value: constant, slope: [0.0; 4], curvature: [0.0; 4] };
+        }
+        let (first, u) = self.cell(at);
+        let v = 1.0 - u;
+        let (h, hh) = (1.0 / self.step, 1.0 / (self.step * self.step));
+        Stencil {
+            first,
+            value: [
+                v * v * v / 6.0,
+                (3.0 * u * u * u - 6.0 * u * u + 4.0) / 6.0,
+                (3.0 * v * v * v - 6.0 * v * v + 4.0) / 6.0,
+                u * u * u / 6.0,
+            ],
+            slope: [
+                -h * v * v / 2.0,
+                h * (3.0 * u * u - 4.0 * u) / 2.0,
+                -h * (3.0 * v * v - 4.0 * v) / 2.0,
+                h * u * u / 2.0,
+            ],
+            curvature: [hh * v, hh * (3.0 * u - 2.0), hh * (3.0 * v - 2.0), hh * u],
+        }
+    }
+
+    /// Coefficients that can matter within `radius` of `at`, as a half-open range.
+    fn reach(&self, at: f64, radius: f64) -> std::ops::Range<usize> {
+        if self.count == 1 {
+            return 0..1;
+        }
+        self.cell(at - radius).0..self.cell(at + radius).0 + 4
+    }
+}
+
+/// A sea given by its harmonics on a regular grid in x, y and (slow) time.
+#[derive(Debug, Clone)]
+pub struct GriddedSea {
+    period: f64,
+    x: Axis,
+    y: Axis,
+    time: Axis,
+    tide_harmonics: usize,
+    /// Complex channels per grid point: two components for each tide, then residual, harmonic.
+    channels: usize,
+    /// Spline coefficients, indexed `[time][y][x][channel]`.
+    coefficients: Vec<Complex64>,
+    /// For each spatial coefficient, the largest sums over the harmonics and all times.
+    node_bounds: Vec<FieldBounds>,
+}
+
+impl GriddedSea {
+    /// Takes spline coefficients indexed `[time][y][x][channel]`, where each axis of `n > 1` grid
+    /// points has `n + 2` coefficients; channels are (u, v) of each tide harmonic `1…J`, then
+    /// (u, v) of the residual's mean and of its harmonics.
+    pub fn new(
+        period: f64,
+        [x, y, time]: [Axis; 3],
+        tide_harmonics: usize,
+        channels: usize,
+        coefficients: Vec<Complex64>,
+    ) -> Result<Self, DriftError> {
+        positive("period", period)?;
+        let (x, y) = (x.validated("x axis")?, y.validated("y axis")?);
+        let time = time.validated("time axis")?;
+        let expected = x.coefficients() * y.coefficients() * time.coefficients() * channels;
+        if !channels.is_multiple_of(2) || channels < 2 * tide_harmonics {
+            return Err(DriftError::invalid(
+                "channels",
+                channels,
+                "it must be even and hold two components for each tide harmonic",
+            ));
+        }
+        if coefficients.len() != expected {
+            return Err(DriftError::invalid(
+                "coefficients",
+                format!("{} values", coefficients.len()),
+                format!("the axes and channels need {expected}"),
+            ));
+        }
+        if let Some(bad) = coefficients.iter().find(|c| !c.is_finite()) {
+            return Err(DriftError::invalid("coefficients", bad, "they must be finite"));
+        }
+        let mut sea = Self {
+            period,
+            x,
+            y,
+            time,
+            tide_harmonics,
+            channels,
+            coefficients,
+            node_bounds: Vec::new(),
+        };
+        sea.node_bounds = sea.bounds_at_nodes();
+        Ok(sea)
+    }
+
+    fn node(&self, time: usize, y: usize, x: usize) -> &[Complex64] {
+        let row = (time * self.y.coefficients() + y) * self.x.coefficients() + x;
+        &self.coefficients[row * self.channels..(row + 1) * self.channels]
+    }
+
+    fn bounds_at_nodes(&self) -> Vec<FieldBounds> {
+        let (nt, ny, nx) =
+            (self.time.coefficients(), self.y.coefficients(), self.x.coefficients());
+        let tide = ..2 * self.tide_harmonics;
+        let size = |channels: &[Complex64]| -> f64 {
+            channels.chunks_exact(2).map(|c| (c[0].norm_sqr() + c[1].norm_sqr()).sqrt()).sum()
+        };
+        let change = |a: &[Complex64], b: &[Complex64], step: f64| -> f64 {
+            let difference: Vec<_> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+            size(&difference) / step
+        };
+        let mut bounds = vec![FieldBounds::default(); ny * nx];
+        for t in 0..nt {
+            for iy in 0..ny {
+                for ix in 0..nx {
+                    let here = self.node(t, iy, ix);
+                    let east = self.node(t, iy, (ix + 1).min(nx - 1));
+                    let north = self.node(t, (iy + 1).min(ny - 1), ix);
+                    let later = self.node((t + 1).min(nt - 1), iy, ix);
+                    let gradient = change(&here[tide], &east[tide], self.x.step)
+                        + change(&here[tide], &north[tide], self.y.step);
+                    let rate = change(&here[tide], &later[tide], self.time.step);
+                    let node = &mut bounds[iy * nx + ix];
+                    node.tide = node.tide.max(size(&here[tide]));
+                    node.residual = node.residual.max(size(&here[2 * self.tide_harmonics..]));
+                    node.gradient = node.gradient.max(gradient);
+                    node.rate = node.rate.max(rate);
+                }
+            }
+        }
+        bounds
+    }
+
+    fn stencils(&self, t: f64, x: Vec2) -> Result<[Stencil; 3], DriftError> {
+        if !self.x.contains(x.x) || !self.y.contains(x.y) {
+            return Err(DriftError::OutsideDomain { x: x.x, y: x.y });
+        }
+        Ok([self.x.stencil(x.x), self.y.stencil(x.y), self.time.stencil(t)])
+    }
+
+    /// Nodes under the stencils that carry weight, with their (x, y, time) places in them.
+    fn nodes<'a>(
+        &'a self,
+        [sx, sy, st]: &'a [Stencil; 3],
+    ) -> impl Iterator<Item = ((usize, usize, usize), &'a [Complex64])> {
+        let width = |axis: &Axis| axis.coefficients().min(4);
+        let (wx, wy, wt) = (width(&self.x), width(&self.y), width(&self.time));
+        (0..wt).flat_map(move |k| {
+            (0..wy).flat_map(move |j| {
+                (0..wx).map(move |i| {
+                    ((i, j, k), self.node(st.first + k, sy.first + j, sx.first + i))
+                })
+            })
+        })
+    }
+}
+
+impl SeaField for GriddedSea {
+    fn period(&self) -> f64 {
+        self.period
+    }
+
+    fn velocity(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+        let stencils = self.stencils(t, x)?;
+        let [sx, sy, st] = &stencils;
+        let tide: Vec<Complex64> = phasors(self.omega() * t).take(self.tide_harmonics).collect();
+        let residual = std::iter::once(Complex64::from(1.0)).chain(phasors(self.omega() * t));
+        let factors: Vec<Complex64> =
+            tide.into_iter().chain(residual).take(self.channels / 2).collect();
+        let mut velocity = Vec2::zeros();
+        for ((i, j, k), node) in self.nodes(&stencils) {
+            let weight = sx.value[i] * sy.value[j] * st.value[k];
+            for (pair, factor) in node.chunks_exact(2).zip(&factors) {
+                velocity += in_phase([pair[0], pair[1]].into(), *factor) * weight;
+            }
+        }
+        Ok(velocity)
+    }
+
+    fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
+        let stencils = self.stencils(t, x)?;
+        let [sx, sy, st] = &stencils;
+        out.tide.clear();
+        out.tide.resize(self.tide_harmonics, Harmonic::default());
+        out.residual.clear();
+        out.residual.resize(self.channels / 2 - self.tide_harmonics, Harmonic::default());
+        for ((i, j, k), node) in self.nodes(&stencils) {
+            let at = st.value[k];
+            let value = sx.value[i] * sy.value[j] * at;
+            let slope = [sx.slope[i] * sy.value[j] * at, sx.value[i] * sy.slope[j] * at];
+            let rate = sx.value[i] * sy.value[j] * st.slope[k];
+            let cross = sx.slope[i] * sy.slope[j] * at;
+            let curvature = [
+                [sx.curvature[i] * sy.value[j] * at, cross],
+                [cross, sx.value[i] * sy.curvature[j] * at],
+            ];
+            let harmonics = out.tide.iter_mut().chain(out.residual.iter_mut());
+            for (pair, harmonic) in node.chunks_exact(2).zip(harmonics) {
+                for (component, c) in pair.iter().enumerate() {
+                    harmonic.amplitude[component] += c * value;
+                    harmonic.rate[component] += c * rate;
+                    for a in 0..2 {
+                        harmonic.gradient[(component, a)] += c * slope[a];
+                        for b in 0..2 {
+                            harmonic.hessian[component][(a, b)] += c * curvature[a][b];
+                        }
+                    }
+                }
+            }
+        }
+        if let Some(mean) = out.residual.first_mut() {
+            mean.amplitude = mean.amplitude.map(|c| c.re.into());
+        }
+        Ok(())
+    }
+
+    fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds {
+        let mut largest = FieldBounds::default();
+        for iy in self.y.reach(center.y, radius) {
+            for ix in self.x.reach(center.x, radius) {
+                let node = &self.node_bounds[iy * self.x.coefficients() + ix];
+                largest.tide = largest.tide.max(node.tide);
+                largest.gradient = largest.gradient.max(node.gradient);
+                largest.rate = largest.rate.max(node.rate);
+                largest.residual = largest.residual.max(node.residual);
+            }
+        }
+        largest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::real;
+    use super::*;
+
+    /// Two tide harmonics and a residual with one harmonic, coefficients of no special form.
+    fn sea() -> Result<GriddedSea, DriftError> {
+        let axis = |count| Axis { start: -1.0, step: 0.5, count };
+        let channels = 8;
+        let count = 9 * 8 * 7 * channels;
+        let value = |k: usize| (0.37 * k as f64).sin();
+        let coefficients =
+            (0..count).map(|k| Complex64::new(value(k), value(k * k % 1009))).collect();
+        GriddedSea::new(0.1, [axis(7), axis(6), axis(5)], 2, channels, coefficients)
+    }
+
+    #[test]
+    fn derivatives_match_differences() -> Result<(), DriftError> {
+        let sea = sea()?;
+        let (t, x, d) = (0.23, Vec2::new(0.31, 0.12), 1e-5);
+        let at = |t: f64, x: Vec2| -> Result<Harmonics, DriftError> {
+            let mut out = Harmonics::default();
+            sea.harmonics(t, x, &mut out).map(|()| out)
+        };
+        let here = at(t, x)?;
+        for a in 0..2 {
+            let mut shift = Vec2::zeros();
+            shift[a] = d;
+            let (ahead, behind) = (at(t, x + shift)?, at(t, x - shift)?);
+            for j in 0..2 {
+                for c in 0..2 {
+                    let slope = (ahead.tide[j].amplitude[c] - behind.tide[j].amplitude[c]) / (2.0 * d);
+                    assert!((slope - here.tide[j].gradient[(c, a)]).norm() < 1e-8);
+                    for b in 0..2 {
+                        let curvature = (ahead.tide[j].gradient[(c, b)]
+                            - behind.tide[j].gradient[(c, b)])
+                            / (2.0 * d);
+                        assert!((curvature - here.tide[j].hessian[c][(a, b)]).norm() < 1e-6);
+                    }
+                }
+            }
+        }
+        let rate = (at(t + d, x)?.tide[0].amplitude - at(t - d, x)?.tide[0].amplitude)
+            .map(|c| c / (2.0 * d));
+        assert!((rate - here.tide[0].rate).map(|c| c.norm()).max() < 1e-8);
+        Ok(())
+    }
+
+    #[test]
+    fn both_views_agree_and_bounds_hold() -> Result<(), DriftError> {
+        let sea = sea()?;
+        let center = Vec2::new(0.3, 0.2);
+        let bounds = sea.bounds(center, 0.4);
+        let mut out = Harmonics::default();
+        for k in 0..200 {
+            let angle = 0.7 * k as f64;
+            let (t, x) = (0.004 * k as f64, center + 0.4 * Vec2::new(angle.cos(), angle.sin()));
+            sea.harmonics(t, x, &mut out)?;
+            let mut sum = real(out.residual[0].amplitude);
+            for (j, phasor) in phasors(sea.omega() * t).take(2).enumerate() {
+                sum += in_phase(out.tide[j].amplitude, phasor);
+                if let Some(residual) = out.residual.get(j + 1) {
+                    sum += in_phase(residual.amplitude, phasor);
+                }
+            }
+            assert!((sum - sea.velocity(t, x)?).norm() < 1e-12);
+            let total = |f: fn(&Harmonic) -> f64| -> f64 { out.tide.iter().map(f).sum() };
+            let size = |v: super::super::CVec2| (v.x.norm_sqr() + v.y.norm_sqr()).sqrt();
+            assert!(out.tide.iter().map(|h| size(h.amplitude)).sum::<f64>() <= bounds.tide);
+            assert!(out.tide.iter().map(|h| size(h.rate)).sum::<f64>() <= bounds.rate);
+            assert!(
+                total(|h| h.gradient.iter().map(|g| g.norm_sqr()).sum::<f64>().sqrt())
+                    <= bounds.gradient
+            );
+            assert!(out.residual.iter().map(|h| size(h.amplitude)).sum::<f64>() <= bounds.residual);
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn leaving_the_grid_is_an_error() -> Result<(), DriftError> {
+        assert!(sea()?.velocity(0.0, Vec2::new(2.1, 0.0)).is_err());
+        assert!(sea()?.velocity(0.0, Vec2::new(2.0, 0.0)).is_ok());
+        Ok(())
+    }
+}

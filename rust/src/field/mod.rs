@@ -1,0 +1,108 @@
+//! Sea-surface velocity in one representation, two views.
+//!
+//! The sea moves with `m = M + n`: the tide `M = Σ_j Re[Z_j(t, x) e^{ijωt}]`, `j = 1…J`, of zero
+//! mean over a tide, and the weaker residual current `n = R(t, x) + Σ_j Re[P_j(t, x) e^{ijωt}]`
+//! (the paper's `εN`). `ω = 2π/T`. The full model asks for the instantaneous velocity, the
+//! averaged models for the slowly varying coefficients: equations.md (2), (3).
+
+pub mod academic;
+pub mod gridded;
+
+use nalgebra::{Matrix2, Vector2};
+use num_complex::Complex64;
+
+use crate::error::DriftError;
+
+/// A position or velocity in the plane.
+pub type Vec2 = Vector2<f64>;
+/// A complex amplitude of a plane vector.
+pub type CVec2 = Vector2<Complex64>;
+/// A complex Jacobian: row = component, column = direction of the derivative.
+pub type CMat2 = Matrix2<Complex64>;
+
+/// One complex amplitude with the derivatives that the averaged models need.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Harmonic {
+    /// Amplitude `Z_j` [length/time].
+    pub amplitude: CVec2,
+    /// Jacobian `∇Z_j` [1/time].
+    pub gradient: CMat2,
+    /// Slow time derivative `∂ₜZ_j` [length/time²].
+    pub rate: CVec2,
+    /// `∂²Z_j/∂x_k∂x_l` of each component [1/(length·time)]; zero where a field is linear.
+    pub hessian: [CMat2; 2],
+}
+
+/// The slowly varying coefficients of a sea field at one time and place.
+#[derive(Debug, Clone, Default)]
+pub struct Harmonics {
+    /// Tide: entry `j − 1` is harmonic `j`.
+    pub tide: Vec<Harmonic>,
+    /// Residual current: entry 0 is the mean (real), entry `j` harmonic `j`.
+    pub residual: Vec<Harmonic>,
+}
+
+/// Upper bounds over a ball of positions and all times of the run; they make it provable that a
+/// coast is out of reach.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct FieldBounds {
+    /// `Σ_j |Z_j|`.
+    pub tide: f64,
+    /// `Σ_j ‖∇Z_j‖`.
+    pub gradient: f64,
+    /// `Σ_j |∂ₜZ_j|`.
+    pub rate: f64,
+    /// `|R| + Σ_j |P_j|`.
+    pub residual: f64,
+}
+
+/// Sea-surface velocity, equations.md (2).
+pub trait SeaField: Send + Sync {
+    /// Tide period `T` [time].
+    fn period(&self) -> f64;
+
+    /// Velocity `m` [length/time] at time `t`, position `x`; `OutsideDomain` beyond the data.
+    fn velocity(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError>;
+
+    /// Slowly varying harmonics of the tidal phase, with gradients and time derivatives.
+    fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError>;
+
+    /// Bounds that hold in the ball around `center` at every time of the run.
+    fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds;
+
+    /// Angular frequency `ω` [1/time] of the tide.
+    fn omega(&self) -> f64 {
+        std::f64::consts::TAU / self.period()
+    }
+}
+
+/// `e^{ijωt}` for `j = 1, 2, …` by repeated multiplication.
+pub fn phasors(omega_t: f64) -> impl Iterator<Item = Complex64> {
+    let first = Complex64::cis(omega_t);
+    std::iter::successors(Some(first), move |phasor| Some(phasor * first))
+}
+
+/// `c` times the complex vector `v`.
+pub fn scaled(v: CVec2, c: Complex64) -> CVec2 {
+    CVec2::new(v.x * c, v.y * c)
+}
+
+/// Real part of `v e^{ijωt}`, given the phasor.
+pub fn in_phase(v: CVec2, phasor: Complex64) -> Vec2 {
+    Vec2::new((v.x * phasor).re, (v.y * phasor).re)
+}
+
+/// Real part, by component.
+pub fn real(v: CVec2) -> Vec2 {
+    Vec2::new(v.x.re, v.y.re)
+}
+
+/// Complex conjugate, by component.
+pub fn conj(v: CVec2) -> CVec2 {
+    CVec2::new(v.x.conj(), v.y.conj())
+}
+
+/// A real vector with zero imaginary parts.
+pub fn complex(v: Vec2) -> CVec2 {
+    CVec2::new(v.x.into(), v.y.into())
+}

@@ -1,0 +1,235 @@
+//! The mean-flow expansion of orders 1 and 2: equations.md (8)–(13).
+//!
+//! `X = Y + a₁ + a₂`, `Y' = F + f₁ + f₂` with `F = Q − ΛY`. Every mean and antiderivative over the
+//! tidal phase is a closed form in the harmonics; nothing is integrated over the phase.
+
+use num_complex::Complex64;
+
+use super::{
+    OnPiece, Piece, Problem, Reach, Solver, WindIntegrals, antiderivative, excursion, harmonics,
+    stokes_drift,
+};
+use crate::dopri5::{Step, Work, integrate};
+use crate::error::DriftError;
+use crate::field::{
+    CMat2, CVec2, Harmonics, Vec2, complex, conj, in_phase, phasors, real, scaled,
+};
+
+/// Longest step in tide periods: about two synoptic steps of the wind.
+const MAX_STEP: f64 = 1.0;
+const MAX_ITERATIONS: usize = 100;
+
+/// The expansion at one time and slow position.
+struct Expansion {
+    /// `f₁ + f₂`: tidal Stokes drift, residual current and their corrections.
+    drift: Vec2,
+    /// Amplitudes of `a₁ + a₂`; entry `l − 1` belongs to `e^{ilωt}`.
+    oscillation: Vec<CVec2>,
+}
+
+impl Expansion {
+    fn new(order: u8, at: &Harmonics, omega: f64, drag: f64, forcing: Vec2) -> Self {
+        let mut oscillation: Vec<CVec2> = excursion(&at.tide, omega).collect();
+        let mean = at.residual.first().map_or(Vec2::zeros(), |mean| real(mean.amplitude));
+        let mut drift = stokes_drift(&at.tide, omega) + mean;
+        if order == 2 {
+            let second = second_oscillation(at, &oscillation, omega, drag, forcing);
+            drift += second_drift(at, &oscillation, &second);
+            oscillation.resize(second.len(), CVec2::zeros());
+            for (a, b) in oscillation.iter_mut().zip(&second) {
+                *a += b;
+            }
+        }
+        Self { drift, oscillation }
+    }
+
+    fn displacement(&self, omega_t: f64) -> Vec2 {
+        self.oscillation.iter().zip(phasors(omega_t)).map(|(a, phasor)| in_phase(*a, phasor)).sum()
+    }
+}
+
+/// Amplitudes of `a₂`: the zero-mean antiderivative of
+/// `∇M a₁ − ⟨∇M a₁⟩ − Λa₁ + n − ⟨n⟩ − ∂ₜa₁ − (∇a₁)F`.
+fn second_oscillation(
+    at: &Harmonics,
+    first: &[CVec2],
+    omega: f64,
+    drag: f64,
+    forcing: Vec2,
+) -> Vec<CVec2> {
+    let highest = (2 * first.len()).max(at.residual.len().saturating_sub(1));
+    let mut rate = vec![CVec2::zeros(); highest];
+    for (j, tide) in (1..).zip(&at.tide) {
+        for (k, a) in (1..).zip(first) {
+            rate[j + k - 1] += (tide.gradient * a) * Complex64::from(0.5);
+            if j > k {
+                rate[j - k - 1] += (tide.gradient * conj(*a)) * Complex64::from(0.5);
+            } else if k > j {
+                rate[k - j - 1] += (tide.gradient.map(|g| g.conj()) * a) * Complex64::from(0.5);
+            }
+        }
+        let slow = tide.rate + tide.gradient * complex(forcing);
+        rate[j - 1] -= scaled(first[j - 1], drag.into()) + scaled(slow, antiderivative(j, omega));
+    }
+    for (j, residual) in (1..).zip(at.residual.iter().skip(1)) {
+        rate[j - 1] += residual.amplitude;
+    }
+    (1..).zip(rate).map(|(l, rate)| scaled(rate, antiderivative(l, omega))).collect()
+}
+
+/// `f₂ = ⟨∇M a₂⟩ + ½⟨∇²M(a₁, a₁)⟩ + ⟨∇n a₁⟩`.
+fn second_drift(at: &Harmonics, first: &[CVec2], second: &[CVec2]) -> Vec2 {
+    let mut drift = Vec2::zeros();
+    for (tide, a) in at.tide.iter().zip(second) {
+        drift += real(tide.gradient * conj(*a)) * 0.5;
+    }
+    for (residual, a) in at.residual.iter().skip(1).zip(first) {
+        drift += real(residual.gradient * conj(*a)) * 0.5;
+    }
+    // a₁ ⊗ a₁ has harmonics j = k + l (half of A_k A_l) and j = k − l (A_k conj A_l).
+    for (j, tide) in (1..).zip(&at.tide) {
+        let mut square = CMat2::zeros();
+        for (k, a) in (1..).zip(first) {
+            for (l, b) in (1..).zip(first) {
+                if k + l == j {
+                    square += a * b.transpose() * Complex64::from(0.5);
+                } else if k == j + l {
+                    square += a * conj(*b).transpose();
+                }
+            }
+        }
+        for component in 0..2 {
+            let sum: Complex64 =
+                (tide.hessian[component].iter().zip(square.iter())).map(|(h, s)| h * s.conj()).sum();
+            drift[component] += 0.25 * sum.re;
+        }
+    }
+    drift
+}
+
+struct MeanFlow<'a> {
+    problem: Problem<'a>,
+    wind: WindIntegrals<'a>,
+    order: u8,
+    /// `Q(0)`.
+    invariant: Vec2,
+}
+
+impl MeanFlow<'_> {
+    /// The expansion at slow position `y`, with `F = Q − ΛY`.
+    fn expansion(&self, t: f64, y: Vec2, single: Vec2) -> Result<(Expansion, Vec2), DriftError> {
+        let Problem { sea, drag, .. } = self.problem;
+        let forcing = self.invariant + (single - y) * drag;
+        let at = harmonics(sea, t, y)?;
+        Ok((Expansion::new(self.order, &at, sea.omega(), drag, forcing), forcing))
+    }
+
+    /// Solves `Y + a(0, Y) = x` by iteration.
+    fn start(&self) -> Result<Vec2, DriftError> {
+        let x = self.problem.position;
+        let mut y = x;
+        for _ in 0..MAX_ITERATIONS {
+            let next = x - self.expansion(0.0, y, Vec2::zeros())?.0.displacement(0.0);
+            let moved = (next - y).norm();
+            y = next;
+            if moved <= 4.0 * f64::EPSILON * (x.norm() + y.norm()) {
+                return Ok(y);
+            }
+        }
+        Err(DriftError::Integration { t: 0.0, reason: "the slow initial position did not converge" })
+    }
+
+    /// Bound of `|a₁ + a₂|`, and of its rate of change, in a ball where `|Y'| ≤ speed`.
+    fn oscillation_reach(&self, center: Vec2, radius: f64, speed: f64) -> (f64, f64) {
+        let omega = self.problem.sea.omega();
+        let bounds = self.problem.sea.bounds(center, radius);
+        let first = bounds.tide / omega;
+        let first_rate = bounds.tide + (bounds.rate + bounds.gradient * speed) / omega;
+        if self.order == 1 {
+            return (first, first_rate);
+        }
+        let forcing = speed + bounds.gradient * first / 2.0 + bounds.residual;
+        let slow = (bounds.rate + bounds.gradient * forcing) / omega;
+        let second =
+            ((bounds.gradient + self.problem.drag) * first + bounds.residual + slow) / omega;
+        // Its highest harmonic is twice the tide's; a factor of two more covers the slow change.
+        (first + second, first_rate + 8.0 * omega * second)
+    }
+}
+
+struct MeanFlowPiece<'a> {
+    flow: &'a MeanFlow<'a>,
+    step: &'a Step<2>,
+}
+
+impl MeanFlowPiece<'_> {
+    fn slow(&self, t: f64) -> (Vec2, Vec2) {
+        let (single, double) = self.flow.wind.at(t);
+        (self.step.state(t) + double * self.flow.problem.drag, single)
+    }
+}
+
+impl Piece for MeanFlowPiece<'_> {
+    fn span(&self) -> (f64, f64) {
+        (self.step.t, self.step.end())
+    }
+
+    fn position(&self, t: f64) -> Result<Vec2, DriftError> {
+        let (y, single) = self.slow(t);
+        let (expansion, _) = self.flow.expansion(t, y, single)?;
+        Ok(y + expansion.displacement(self.flow.problem.sea.omega() * t))
+    }
+
+    fn velocity(&self, t: f64) -> Result<Vec2, DriftError> {
+        let x = self.position(t)?;
+        let Problem { sea, drag, .. } = self.flow.problem;
+        Ok(sea.velocity(t, x)? + self.flow.invariant + (self.slow(t).1 - x) * drag)
+    }
+
+    fn mean(&self, t: f64) -> Result<Option<(Vec2, Vec2)>, DriftError> {
+        let (y, single) = self.slow(t);
+        let (expansion, forcing) = self.flow.expansion(t, y, single)?;
+        Ok(Some((y, forcing + expansion.drift)))
+    }
+
+    fn reach(&self) -> Reach {
+        let drag = self.flow.problem.drag;
+        let (distance, speed) = self.step.reach(0);
+        let (wind_distance, wind_speed) = self.flow.wind.reach(self.step.t, self.step.h);
+        let center = self.slow(self.step.t).0;
+        let (radius, speed) = (distance + wind_distance * drag, speed + wind_speed * drag);
+        let (oscillation, rate) = self.flow.oscillation_reach(center, radius, speed);
+        Reach { center, radius: radius + oscillation, speed: speed + rate }
+    }
+}
+
+/// Integrates the mean-flow expansion of order 1 or 2 over the run.
+pub fn follow(
+    solver: &Solver,
+    order: u8,
+    problem: Problem,
+    on_piece: OnPiece,
+) -> Result<Work, DriftError> {
+    if order != 1 && order != 2 {
+        return Err(DriftError::invalid("order", order, "mean-flow has orders 1 and 2"));
+    }
+    problem.wind.require(0.0, problem.duration)?;
+    let flow = MeanFlow {
+        problem,
+        wind: WindIntegrals::new(problem.wind),
+        order,
+        invariant: problem.invariant()?,
+    };
+    let (work, _) = integrate(
+        |t, p: &Vec2| {
+            let (single, double) = flow.wind.at(t);
+            let (expansion, forcing) = flow.expansion(t, p + double * problem.drag, single)?;
+            Ok(forcing + expansion.drift - single * problem.drag)
+        },
+        (0.0, problem.duration),
+        flow.start()?,
+        solver.options(MAX_STEP * problem.sea.period()),
+        |step| on_piece(&MeanFlowPiece { flow: &flow, step }),
+    )?;
+    Ok(work)
+}

@@ -1,0 +1,189 @@
+//! The three models of a drifting body, each as a chain of pieces of trajectory.
+//!
+//! All integrate in any consistent units, with the tide period as a parameter: [`full`] resolves
+//! the tide, [`paper`] is the paper's stroboscopic expansion, [`mean_flow`] the expansion that
+//! production runs use.
+
+pub mod full;
+pub mod mean_flow;
+pub mod paper;
+
+use std::ops::ControlFlow;
+
+use num_complex::Complex64;
+
+use crate::dopri5::{Options, Work};
+use crate::error::DriftError;
+use crate::field::{CVec2, Harmonic, Harmonics, SeaField, Vec2, conj, real, scaled};
+use crate::wind::path::WindPath;
+
+/// What is to be followed: a body released at time 0.
+#[derive(Clone, Copy)]
+pub struct Problem<'a> {
+    /// The sea.
+    pub sea: &'a dyn SeaField,
+    /// The wind, uniform in space.
+    pub wind: &'a WindPath,
+    /// Drag rate `Λ` [1/time].
+    pub drag: f64,
+    /// Length of the run [time].
+    pub duration: f64,
+    /// Position at time 0.
+    pub position: Vec2,
+    /// Velocity at time 0.
+    pub velocity: Vec2,
+}
+
+impl Problem<'_> {
+    /// `Q(0) = V − m + ΛX` at the release: equations.md (5).
+    fn invariant(&self) -> Result<Vec2, DriftError> {
+        let sea = self.sea.velocity(0.0, self.position)?;
+        Ok(self.velocity - sea + self.position * self.drag)
+    }
+}
+
+/// `S = ∫₀ᵗ W` and `∫₀ᵗ S`, counted from the release.
+struct WindIntegrals<'a> {
+    path: &'a WindPath,
+    at_release: (Vec2, Vec2),
+    max_speed: f64,
+}
+
+impl<'a> WindIntegrals<'a> {
+    fn new(path: &'a WindPath) -> Self {
+        Self { path, at_release: path.integrals(0.0), max_speed: path.max_speed() }
+    }
+
+    fn at(&self, t: f64) -> (Vec2, Vec2) {
+        let (single, double) = self.path.integrals(t);
+        let (single0, double0) = self.at_release;
+        (single - single0, double - double0 - single0 * t)
+    }
+
+    /// Bounds, over `h` from `t`, of the change of `∫S` and of `|S|`.
+    fn reach(&self, t: f64, h: f64) -> (f64, f64) {
+        let speed = self.at(t).0.norm() + self.max_speed * h;
+        (speed * h, speed)
+    }
+}
+
+/// A ball that holds a piece of trajectory, and a bound of the speed in it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reach {
+    /// Centre of the ball.
+    pub center: Vec2,
+    /// Radius of the ball.
+    pub radius: f64,
+    /// Bound of the speed along the reconstructed trajectory.
+    pub speed: f64,
+}
+
+/// A body's motion over one step of an integrator.
+pub trait Piece {
+    /// First and last time.
+    fn span(&self) -> (f64, f64);
+    /// Position `X`, tidal oscillation included.
+    fn position(&self, t: f64) -> Result<Vec2, DriftError>;
+    /// Velocity `V`, tidal oscillation included.
+    fn velocity(&self, t: f64) -> Result<Vec2, DriftError>;
+    /// Slow position and velocity, where the model has them.
+    fn mean(&self, t: f64) -> Result<Option<(Vec2, Vec2)>, DriftError>;
+    /// Where the piece can be: provable, so that a coast beyond it need not be looked for.
+    fn reach(&self) -> Reach;
+}
+
+/// Receives the pieces of a trajectory in the order of time and may stop it.
+pub type OnPiece<'a> = &'a mut dyn FnMut(&dyn Piece) -> Result<ControlFlow<()>, DriftError>;
+
+/// How the full model is written; both are exact.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Formulation {
+    /// Rewrite A: four unknowns, for any body and wind.
+    A,
+    /// Rewrite B: two unknowns, for the paper's body in a uniform wind.
+    B,
+}
+
+/// A model with its own parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Model {
+    /// The full system.
+    Full(Formulation),
+    /// The paper's averaged system of order 0 or 1.
+    Paper {
+        /// Order of the expansion.
+        order: u8,
+        /// Length of the wind's averaging window [time].
+        window: f64,
+        /// Whether the terms `B_W` are kept.
+        wind_terms: bool,
+    },
+    /// The mean-flow expansion of order 1 or 2.
+    MeanFlow {
+        /// Order of the expansion.
+        order: u8,
+    },
+}
+
+/// A model with the tolerances of its integration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Solver {
+    /// The model.
+    pub model: Model,
+    /// Relative tolerance.
+    pub rtol: f64,
+    /// Absolute tolerance [length and velocity].
+    pub atol: f64,
+}
+
+impl Solver {
+    /// Follows one body, handing each piece of its trajectory to `on_piece`.
+    pub fn follow(&self, problem: Problem, on_piece: OnPiece) -> Result<Work, DriftError> {
+        match self.model {
+            Model::Full(formulation) => full::follow(self, formulation, problem, on_piece),
+            Model::Paper { order, window, wind_terms } => {
+                paper::follow(self, order, window, wind_terms, problem, on_piece)
+            }
+            Model::MeanFlow { order } => mean_flow::follow(self, order, problem, on_piece),
+        }
+    }
+
+    /// Interval of time that a wind path must cover.
+    pub fn wind_needed(&self, duration: f64, period: f64) -> (f64, f64) {
+        match self.model {
+            Model::Full(_) | Model::MeanFlow { .. } => (0.0, duration),
+            Model::Paper { window, wind_terms, .. } => {
+                let tide = if wind_terms { period } else { 0.0 };
+                (-tide - window / 2.0, duration + tide / 2.0 + window / 2.0)
+            }
+        }
+    }
+
+    fn options(&self, max_step: f64) -> Options {
+        Options { rtol: self.rtol, atol: self.atol, max_step, first_step: None }
+    }
+}
+
+/// `1/(ijω)`: turns the amplitude of harmonic `j` into that of its zero-mean antiderivative.
+fn antiderivative(j: usize, omega: f64) -> Complex64 {
+    Complex64::new(0.0, -1.0 / (j as f64 * omega))
+}
+
+/// Amplitudes of the tidal excursion `a₁ = ∫~M dt`: equations.md (9).
+fn excursion(tide: &[Harmonic], omega: f64) -> impl Iterator<Item = CVec2> {
+    (1..).zip(tide).map(move |(j, h)| scaled(h.amplitude, antiderivative(j, omega)))
+}
+
+/// Tidal Stokes drift `⟨∇M a₁⟩`: equations.md (10).
+fn stokes_drift(tide: &[Harmonic], omega: f64) -> Vec2 {
+    (tide.iter().zip(excursion(tide, omega)))
+        .map(|(h, excursion)| real(h.gradient * conj(excursion)) * 0.5)
+        .sum()
+}
+
+/// Harmonics at one time and place, freshly allocated.
+fn harmonics(sea: &dyn SeaField, t: f64, x: Vec2) -> Result<Harmonics, DriftError> {
+    let mut out = Harmonics::default();
+    sea.harmonics(t, x, &mut out)?;
+    Ok(out)
+}

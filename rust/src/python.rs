@@ -1,0 +1,495 @@
+//! The doorway to Python: checks shapes, copies in, releases the interpreter while it computes,
+//! moves arrays out. The only file that knows pyo3 and numpy.
+
+use numpy::{
+    Complex64, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1,
+    PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::coast::{Coast as CoreCoast, Side};
+use crate::ensemble::{self, Member};
+use crate::error::DriftError;
+use crate::field::academic::{AcademicSea, SeparableCurrent};
+use crate::field::gridded::{Axis, GriddedSea};
+use crate::field::{SeaField, Vec2};
+use crate::model::{Formulation, Model, Solver as CoreSolver};
+use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
+use crate::wind::path::WindPath as CorePath;
+use crate::wind::small_scale::SmallScale;
+use crate::wind::{self, Sampling};
+
+impl From<DriftError> for PyErr {
+    fn from(error: DriftError) -> Self {
+        match error {
+            DriftError::Invalid { .. }
+            | DriftError::WindTooShort { .. }
+            | DriftError::OutsideDomain { .. } => PyValueError::new_err(error.to_string()),
+            DriftError::Integration { .. } => PyRuntimeError::new_err(error.to_string()),
+        }
+    }
+}
+
+/// Rows of a two-column array.
+fn points(name: &'static str, array: &PyReadonlyArray2<f64>) -> Result<Vec<Vec2>, DriftError> {
+    let [rows, columns] = [array.shape()[0], array.shape()[1]];
+    if columns != 2 {
+        return Err(DriftError::invalid(
+            name,
+            format!("shape ({rows}, {columns})"),
+            "it needs two columns",
+        ));
+    }
+    Ok(array.as_array().rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect())
+}
+
+fn flat(array: &PyReadonlyArray2<f64>) -> Vec<f64> {
+    array.as_array().iter().copied().collect()
+}
+
+fn indices(
+    name: &'static str,
+    array: &PyReadonlyArray1<i64>,
+) -> Result<Vec<usize>, DriftError> {
+    (array.as_array().iter())
+        .map(|value| {
+            usize::try_from(*value)
+                .map_err(|_| DriftError::invalid(name, value, "it must not be negative"))
+        })
+        .collect()
+}
+
+/// (n, 2) array from points.
+fn columns<'py>(
+    py: Python<'py>,
+    points: &[Vec2],
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let values: Vec<f64> = points.iter().flat_map(|x| [x.x, x.y]).collect();
+    values.into_pyarray(py).reshape([points.len(), 2])
+}
+
+/// (n, m, 2) array from points.
+fn layers<'py>(
+    py: Python<'py>,
+    [rows, length]: [usize; 2],
+    points: &[Vec2],
+) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    let values: Vec<f64> = points.iter().flat_map(|x| [x.x, x.y]).collect();
+    values.into_pyarray(py).reshape([rows, length, 2])
+}
+
+/// Wind path in scenario units.
+#[pyclass(frozen)]
+struct WindPath(CorePath);
+
+#[pymethods]
+impl WindPath {
+    #[new]
+    fn new(times: PyReadonlyArray1<f64>, velocity: PyReadonlyArray2<f64>) -> PyResult<Self> {
+        let times = times.as_array().to_vec();
+        Ok(Self(CorePath::new(times, points("wind path velocity", &velocity)?)?))
+    }
+
+    #[getter]
+    fn start(&self) -> f64 {
+        self.0.start()
+    }
+
+    #[getter]
+    fn end(&self) -> f64 {
+        self.0.end()
+    }
+
+    fn velocity<'py>(
+        &self,
+        py: Python<'py>,
+        times: PyReadonlyArray1<f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        self.sampled(py, &times, |t| self.0.velocity(t))
+    }
+
+    fn integral<'py>(
+        &self,
+        py: Python<'py>,
+        times: PyReadonlyArray1<f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        self.sampled(py, &times, |t| self.0.integral(t))
+    }
+
+    fn mean<'py>(
+        &self,
+        py: Python<'py>,
+        times: PyReadonlyArray1<f64>,
+        window: f64,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        self.sampled(py, &times, |t| self.0.mean(t, window))
+    }
+}
+
+impl WindPath {
+    fn sampled<'py>(
+        &self,
+        py: Python<'py>,
+        times: &PyReadonlyArray1<f64>,
+        value: impl Fn(f64) -> Vec2,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let values: Vec<Vec2> = times.as_array().iter().map(|t| value(*t)).collect();
+        columns(py, &values)
+    }
+}
+
+/// Fitted bootstrap of a wind record.
+#[pyclass(frozen)]
+struct Bootstrap(CoreBootstrap);
+
+#[pymethods]
+impl Bootstrap {
+    #[new]
+    #[expect(clippy::too_many_arguments, reason = "one argument for each fitted array")]
+    fn new(
+        py: Python,
+        states: PyReadonlyArray2<f64>,
+        whitening: PyReadonlyArray2<f64>,
+        target: PyReadonlyArray2<f64>,
+        predictor: PyReadonlyArray2<f64>,
+        noise: PyReadonlyArray2<f64>,
+        row: PyReadonlyArray1<i64>,
+        phase: PyReadonlyArray1<i64>,
+        start: PyReadonlyArray1<bool>,
+        cycle: PyReadonlyArray2<f64>,
+        bandwidth: f64,
+    ) -> PyResult<Self> {
+        let catalogue = Catalogue {
+            order: states.shape()[1] / 2,
+            states: flat(&states),
+            whitening: flat(&whitening),
+            target: flat(&target),
+            predictor: flat(&predictor),
+            noise: flat(&noise),
+            row: indices("row", &row)?,
+            phase: indices("phase", &phase)?,
+            start: start.as_array().to_vec(),
+            cycle: flat(&cycle),
+            bandwidth,
+        };
+        Ok(Self(py.detach(|| CoreBootstrap::new(catalogue))?))
+    }
+
+    #[pyo3(signature = (members, steps, seed, first_member=0, phase=None))]
+    #[expect(clippy::type_complexity, reason = "two arrays")]
+    fn sample<'py>(
+        &self,
+        py: Python<'py>,
+        members: usize,
+        steps: usize,
+        seed: u64,
+        first_member: u64,
+        phase: Option<usize>,
+    ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<i64>>)> {
+        let mut wind = Vec::new();
+        let mut predecessor = Vec::new();
+        let mut member = first_member;
+        while member < first_member + members as u64 {
+            let batch = member..(member + BATCH).min(first_member + members as u64);
+            member = batch.end;
+            let sample = py.detach(|| wind::sample(&self.0, seed, batch, steps, phase))?;
+            wind.extend(sample.wind);
+            predecessor.extend(sample.predecessor.into_iter().map(|row| row as i64));
+            py.check_signals()?;
+        }
+        let wind = layers(py, [members, steps], &wind)?;
+        Ok((wind, predecessor.into_pyarray(py).reshape([members, steps])?))
+    }
+
+    #[pyo3(signature = (state, count, seed, near=None))]
+    fn draws_at<'py>(
+        &self,
+        py: Python<'py>,
+        state: PyReadonlyArray1<f64>,
+        count: usize,
+        seed: u64,
+        near: Option<usize>,
+    ) -> PyResult<Bound<'py, PyArray1<i64>>> {
+        use rand::SeedableRng;
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let state = state.as_array().to_vec();
+        let rows = py.detach(|| self.0.draws_at(&state, near, count, &mut rng))?;
+        Ok(rows.into_iter().map(|row| row as i64).collect::<Vec<_>>().into_pyarray(py))
+    }
+}
+
+/// Draws the wind of any member in scenario units.
+#[pyclass(frozen)]
+struct WindGenerator(wind::WindGenerator);
+
+#[pymethods]
+impl WindGenerator {
+    #[new]
+    #[pyo3(signature = (bootstrap, step, unit, small_scale_sd, memory, substeps, lead_in, phase=None))]
+    #[expect(clippy::too_many_arguments, reason = "one argument for each physical quantity")]
+    fn new(
+        bootstrap: &Bootstrap,
+        step: f64,
+        unit: f64,
+        small_scale_sd: f64,
+        memory: f64,
+        substeps: usize,
+        lead_in: usize,
+        phase: Option<usize>,
+    ) -> PyResult<Self> {
+        let small_scale = SmallScale::new(small_scale_sd, memory, step, substeps)?;
+        let bootstrap = bootstrap.0.clone();
+        Ok(Self(wind::WindGenerator::new(bootstrap, small_scale, step, unit, lead_in, phase)?))
+    }
+
+    /// Times and velocities of one member's fine path, up to `end`.
+    #[expect(clippy::type_complexity, reason = "two arrays")]
+    fn path<'py>(
+        &self,
+        py: Python<'py>,
+        seed: u64,
+        member: u64,
+        end: f64,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray2<f64>>)> {
+        let path = py.detach(|| self.0.path(seed, member, end, Sampling::Fine))?;
+        Ok((path.times().to_vec().into_pyarray(py), columns(py, path.knots())?))
+    }
+}
+
+/// Sea-surface velocity field.
+#[pyclass(frozen)]
+struct Sea(std::sync::Arc<dyn SeaField>);
+
+/// (mean, modulation, cycles, phase, axis) and sine amplitudes of a separable current.
+type Current<'py> = ((f64, f64, f64, f64, usize), PyReadonlyArray2<'py, f64>);
+
+fn separable(((mean, modulation, cycles, phase, axis), sines): &Current) -> PyResult<SeparableCurrent> {
+    Ok(SeparableCurrent {
+        mean: *mean,
+        modulation: *modulation,
+        cycles: *cycles,
+        phase: *phase,
+        axis: *axis,
+        sines: points("harmonics", sines)?,
+    })
+}
+
+#[pymethods]
+impl Sea {
+    #[staticmethod]
+    fn academic(
+        period: f64,
+        tide: Current,
+        residual: Current,
+        residual_scale: f64,
+    ) -> PyResult<Self> {
+        let sea = AcademicSea::new(period, separable(&tide)?, separable(&residual)?, residual_scale)?;
+        Ok(Self(std::sync::Arc::new(sea)))
+    }
+
+    /// Axes (start, step, count) of x, y and time; spline coefficients [time, y, x, channel].
+    #[staticmethod]
+    fn gridded(
+        period: f64,
+        axes: [(f64, f64, usize); 3],
+        tide_harmonics: usize,
+        coefficients: PyReadonlyArray4<Complex64>,
+    ) -> PyResult<Self> {
+        let channels = coefficients.shape()[3];
+        let values = coefficients.as_array().iter().copied().collect();
+        let axes = axes.map(|(start, step, count)| Axis { start, step, count });
+        let sea = GriddedSea::new(period, axes, tide_harmonics, channels, values)?;
+        Ok(Self(std::sync::Arc::new(sea)))
+    }
+
+    fn velocity<'py>(
+        &self,
+        py: Python<'py>,
+        times: PyReadonlyArray1<f64>,
+        positions: PyReadonlyArray2<f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let positions = points("positions", &positions)?;
+        if times.len() != positions.len() {
+            return Err(DriftError::invalid("times", times.len(), "one for each position").into());
+        }
+        let values: Vec<Vec2> = (times.as_array().iter().zip(positions))
+            .map(|(t, x)| self.0.velocity(*t, x))
+            .collect::<Result<_, _>>()?;
+        columns(py, &values)
+    }
+}
+
+/// Coast line.
+#[pyclass(frozen)]
+struct Coast(CoreCoast);
+
+fn side(inside: bool) -> Side {
+    if inside { Side::Inside } else { Side::Outside }
+}
+
+#[pymethods]
+impl Coast {
+    #[staticmethod]
+    fn circle(center: (f64, f64), radius: f64, inside: bool) -> PyResult<Self> {
+        Ok(Self(CoreCoast::circle(Vec2::new(center.0, center.1), radius, side(inside))?))
+    }
+
+    #[staticmethod]
+    fn polygons(rings: Vec<PyReadonlyArray2<f64>>, inside: bool) -> PyResult<Self> {
+        let rings: Vec<Vec<Vec2>> =
+            rings.iter().map(|ring| points("coast ring", ring)).collect::<Result<_, _>>()?;
+        Ok(Self(CoreCoast::polygons(&rings, side(inside))?))
+    }
+
+    /// Distance to the coast line, above 0 where the body floats.
+    fn clearance(&self, x: f64, y: f64) -> f64 {
+        self.0.clearance(Vec2::new(x, y))
+    }
+}
+
+/// Model with its parameters and tolerances.
+#[pyclass(frozen)]
+struct Solver(CoreSolver);
+
+#[pymethods]
+impl Solver {
+    #[staticmethod]
+    fn full(general: bool, rtol: f64, atol: f64) -> Self {
+        let formulation = if general { Formulation::A } else { Formulation::B };
+        Self(CoreSolver { model: Model::Full(formulation), rtol, atol })
+    }
+
+    #[staticmethod]
+    fn paper(order: u8, window: f64, wind_terms: bool, rtol: f64, atol: f64) -> Self {
+        Self(CoreSolver { model: Model::Paper { order, window, wind_terms }, rtol, atol })
+    }
+
+    #[staticmethod]
+    fn mean_flow(order: u8, rtol: f64, atol: f64) -> Self {
+        Self(CoreSolver { model: Model::MeanFlow { order }, rtol, atol })
+    }
+
+    /// Interval of time that a wind path must cover.
+    fn wind_needed(&self, duration: f64, period: f64) -> (f64, f64) {
+        self.0.wind_needed(duration, period)
+    }
+}
+
+/// Body, sea and coast.
+#[pyclass(frozen)]
+struct Scenario(ensemble::Scenario);
+
+/// Members followed between two looks at Python's signals.
+const BATCH: u64 = 64;
+
+#[pymethods]
+impl Scenario {
+    #[new]
+    fn new(
+        sea: &Sea,
+        coast: Option<&Coast>,
+        drag: f64,
+        duration: f64,
+        position: (f64, f64),
+        velocity: (f64, f64),
+    ) -> PyResult<Self> {
+        Ok(Self(ensemble::Scenario {
+            sea: sea.0.clone(),
+            coast: coast.map(|coast| coast.0.clone()),
+            drag: crate::error::positive("drag", drag)?,
+            duration: crate::error::positive("duration", duration)?,
+            position: Vec2::new(position.0, position.1),
+            velocity: Vec2::new(velocity.0, velocity.1),
+        }))
+    }
+
+    /// Position, velocity and (empty where the model has none) slow position and velocity.
+    #[expect(clippy::type_complexity, reason = "four arrays")]
+    fn trajectory<'py>(
+        &self,
+        py: Python<'py>,
+        wind: &WindPath,
+        solver: &Solver,
+        times: PyReadonlyArray1<f64>,
+    ) -> PyResult<[Bound<'py, PyArray2<f64>>; 4]> {
+        let times = times.as_array().to_vec();
+        let out = py.detach(|| ensemble::trajectory(&self.0, &wind.0, &solver.0, &times))?;
+        let (mean_position, mean_velocity): (Vec<_>, Vec<_>) = out.mean.into_iter().unzip();
+        Ok([
+            columns(py, &out.position)?,
+            columns(py, &out.velocity)?,
+            columns(py, &mean_position)?,
+            columns(py, &mean_velocity)?,
+        ])
+    }
+
+    /// Status, stranding time and position, positions of the kept members, first failure.
+    #[expect(clippy::type_complexity, reason = "four arrays and a message")]
+    #[expect(clippy::too_many_arguments, reason = "what names a run")]
+    fn run<'py>(
+        &self,
+        py: Python<'py>,
+        wind: &WindGenerator,
+        solver: &Solver,
+        seed: u64,
+        first: u64,
+        count: u64,
+        times: PyReadonlyArray1<f64>,
+        keep: u64,
+        threads: usize,
+    ) -> PyResult<(
+        Bound<'py, PyArray1<i8>>,
+        Bound<'py, PyArray1<f64>>,
+        Bound<'py, PyArray2<f64>>,
+        Bound<'py, PyArray3<f64>>,
+        Option<String>,
+    )> {
+        let times = times.as_array().to_vec();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+        let mut members: Vec<Member> = Vec::new();
+        let mut at = first;
+        while at < first + count {
+            let batch = at..(at + BATCH).min(first + count);
+            at = batch.end;
+            members.extend(py.detach(|| {
+                pool.install(|| {
+                    ensemble::run(&self.0, &wind.0, &solver.0, seed, batch, &times, keep)
+                })
+            }));
+            py.check_signals()?;
+        }
+        let nowhere = Vec2::repeat(f64::NAN);
+        let status: Vec<i8> = members.iter().map(|member| member.status as i8).collect();
+        let (stranding_times, places): (Vec<f64>, Vec<Vec2>) =
+            members.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
+        let kept = keep.saturating_sub(first).min(count) as usize;
+        let mut positions = Vec::with_capacity(kept * times.len());
+        for member in &members[..kept] {
+            positions.extend(&member.positions);
+            positions.extend(vec![nowhere; times.len() - member.positions.len()]);
+        }
+        let failure =
+            members.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
+        Ok((
+            status.into_pyarray(py),
+            stranding_times.into_pyarray(py),
+            columns(py, &places)?,
+            layers(py, [kept, times.len()], &positions)?,
+            failure,
+        ))
+    }
+}
+
+/// Compiled core of driftcore.
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::{Bootstrap, Coast, Scenario, Sea, Solver, WindGenerator, WindPath};
+
+    #[pymodule_export]
+    const VERSION: &str = env!("CARGO_PKG_VERSION");
+}
