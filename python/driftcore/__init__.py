@@ -1,0 +1,50 @@
+"""Forecasts of things adrift on the sea, weeks to months ahead, as probabilities.
+
+Examples
+--------
+>>> import driftcore as dc
+>>> scenario = dc.paper.scenario(epsilon=1 / 50)
+>>> forecast = dc.forecast(scenario, members=200)
+>>> print(forecast.stranding_probability())
+"""
+
+from driftcore import paper
+from driftcore._core import VERSION as __version__
+from driftcore.errors import (
+    DriftCoreError,
+    DriftCoreWarning,
+    OutputError,
+    RecordError,
+    ScenarioError,
+)
+from driftcore.forecast import Forecast, forecast, member_path, open_forecast, trajectory
+from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
+from driftcore.sea import AcademicSea, HarmonicSea
+from driftcore.statistics import Probability
+from driftcore.wind import LocalGridBootstrap, WindPath, WindRecord, read_record
+
+__all__ = [
+    "AcademicSea",
+    "Circle",
+    "DriftCoreError",
+    "DriftCoreWarning",
+    "Forecast",
+    "HarmonicSea",
+    "LocalGridBootstrap",
+    "OutputError",
+    "Polygons",
+    "Probability",
+    "RecordError",
+    "RunConfiguration",
+    "Scenario",
+    "ScenarioError",
+    "WindPath",
+    "WindRecord",
+    "__version__",
+    "forecast",
+    "member_path",
+    "open_forecast",
+    "paper",
+    "read_record",
+    "trajectory",
+]

@@ -1,0 +1,124 @@
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+VERSION: str
+
+_Floats = NDArray[np.float64]
+_Integers = NDArray[np.int64]
+_Current = tuple[tuple[float, float, float, float, int], _Floats]
+
+@final
+class WindPath:
+    def __new__(cls, times: _Floats, velocity: _Floats) -> WindPath: ...
+    @property
+    def start(self) -> float: ...
+    @property
+    def end(self) -> float: ...
+    def velocity(self, times: _Floats) -> _Floats: ...
+    def integral(self, times: _Floats) -> _Floats: ...
+    def mean(self, times: _Floats, window: float) -> _Floats: ...
+
+@final
+class Bootstrap:
+    def __new__(
+        cls,
+        states: _Floats,
+        whitening: _Floats,
+        target: _Floats,
+        predictor: _Floats,
+        noise: _Floats,
+        row: _Integers,
+        phase: _Integers,
+        start: NDArray[np.bool_],
+        cycle: _Floats,
+        bandwidth: float,
+    ) -> Bootstrap: ...
+    def sample(
+        self,
+        members: int,
+        steps: int,
+        seed: int,
+        first_member: int = 0,
+        phase: int | None = None,
+    ) -> tuple[_Floats, _Integers]: ...
+    def draws_at(
+        self, state: _Floats, count: int, seed: int, near: int | None = None
+    ) -> _Integers: ...
+
+@final
+class WindGenerator:
+    def __new__(
+        cls,
+        bootstrap: Bootstrap,
+        step: float,
+        unit: float,
+        small_scale_sd: float,
+        memory: float,
+        substeps: int,
+        lead_in: int,
+        phase: int | None = None,
+    ) -> WindGenerator: ...
+    def path(self, seed: int, member: int, end: float) -> tuple[_Floats, _Floats]: ...
+
+@final
+class Sea:
+    @staticmethod
+    def academic(
+        period: float, tide: _Current, residual: _Current, residual_scale: float
+    ) -> Sea: ...
+    @staticmethod
+    def gridded(
+        period: float,
+        axes: list[tuple[float, float, int]],
+        tide_harmonics: int,
+        coefficients: NDArray[np.complex128],
+    ) -> Sea: ...
+    def velocity(self, times: _Floats, positions: _Floats) -> _Floats: ...
+
+@final
+class Coast:
+    @staticmethod
+    def circle(center: tuple[float, float], radius: float, inside: bool) -> Coast: ...
+    @staticmethod
+    def polygons(rings: list[_Floats], inside: bool) -> Coast: ...
+    def clearance(self, x: float, y: float) -> float: ...
+
+@final
+class Solver:
+    @staticmethod
+    def full(general: bool, rtol: float, atol: float) -> Solver: ...
+    @staticmethod
+    def paper(
+        order: int, window: float, wind_terms: bool, rtol: float, atol: float
+    ) -> Solver: ...
+    @staticmethod
+    def mean_flow(order: int, rtol: float, atol: float) -> Solver: ...
+    def wind_needed(self, duration: float, period: float) -> tuple[float, float]: ...
+
+@final
+class Scenario:
+    def __new__(
+        cls,
+        sea: Sea,
+        coast: Coast | None,
+        drag: float,
+        duration: float,
+        position: tuple[float, float],
+        velocity: tuple[float, float],
+    ) -> Scenario: ...
+    def trajectory(
+        self, wind: WindPath, solver: Solver, times: _Floats
+    ) -> list[_Floats]: ...
+    def run(
+        self,
+        wind: WindGenerator,
+        solver: Solver,
+        seed: int,
+        first: int,
+        count: int,
+        times: _Floats,
+        keep: int,
+        threads: int,
+    ) -> tuple[NDArray[np.int8], _Floats, _Floats, _Floats, str | None]: ...

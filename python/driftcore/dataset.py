@@ -1,0 +1,174 @@
+"""Arrays to CF datasets, and datasets to files and back."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from driftcore.errors import OutputError
+from driftcore.files import replacing
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    from driftcore.scenario import Scenario
+
+STATUSES = ("afloat", "stranded", "left_domain", "failed")
+_TIME = {
+    "long_name": "time since the release, in units of the run",
+    "units": "1",
+    "axis": "T",
+}
+
+
+def scenario_attributes(scenario: Scenario) -> dict[str, Any]:
+    """Attributes that tell a reader what was followed where."""
+    attributes: dict[str, Any] = {
+        "Conventions": "CF-1.11",
+        "featureType": "trajectory",
+        "scenario": scenario.name,
+        "epsilon": scenario.epsilon,
+        "duration": scenario.duration,
+        "drag": scenario.drag,
+        "tide_period_h": scenario.tide_period_h,
+        "wind_unit": scenario.wind_unit,
+        "release": json.dumps(scenario.position),
+    }
+    if scenario.coast is not None:
+        attributes["coast"] = json.dumps({**scenario.coast.model_dump(), "side": scenario.side})
+    return attributes
+
+
+def _variable(dims: tuple[str, ...], values: Any, long_name: str, units: str = "1") -> Any:
+    return (dims, values, {"long_name": long_name, "units": units})
+
+
+def trajectory_dataset(
+    scenario: Scenario,
+    times: NDArray[np.float64],
+    arrays: dict[str, NDArray[np.float64]],
+    attributes: dict[str, Any],
+) -> xr.Dataset:
+    """One body: `arrays` holds (time, 2) values by variable name."""
+    import xarray as xr
+
+    names = {
+        "position": "position",
+        "velocity": "velocity",
+        "mean_position": "position without the tidal oscillation",
+        "mean_velocity": "velocity without the tidal oscillation",
+    }
+    dims = ("time", "component")
+    variables = {name: _variable(dims, values, names[name]) for name, values in arrays.items()}
+    coordinates = {"time": ("time", times, _TIME), "component": ["x", "y"]}
+    return xr.Dataset(variables, coordinates, {**scenario_attributes(scenario), **attributes})
+
+
+def forecast_dataset(
+    scenario: Scenario,
+    *,
+    status: NDArray[np.int8],
+    stranding_time: NDArray[np.float64],
+    stranding_position: NDArray[np.float64],
+    times: NDArray[np.float64],
+    position: NDArray[np.float64],
+    wind_times: NDArray[np.float64],
+    wind: NDArray[np.float64],
+    attributes: dict[str, Any],
+) -> xr.Dataset:
+    """All members: shapes (member,), (member, 2), kept (kept, time, 2), (kept, wind_time, 2)."""
+    import xarray as xr
+
+    members, kept = len(status), len(position)
+    dim = "member" if kept == members else "kept_member"
+    variables = {
+        "status": (
+            ("member",),
+            status,
+            {
+                "long_name": "how the member ended",
+                "flag_values": np.arange(len(STATUSES), dtype=np.int8),
+                "flag_meanings": " ".join(STATUSES),
+            },
+        ),
+        "stranding_time": _variable(("member",), stranding_time, "time of stranding"),
+        "stranding_position": _variable(
+            ("member", "component"), stranding_position, "position of stranding"
+        ),
+        "position": _variable(
+            (dim, "time", "component"), position, "position of the kept members while adrift"
+        ),
+        "wind_velocity": _variable(
+            (dim, "wind_time", "component"),
+            wind,
+            "synoptic wind of the kept members, toward x and y",
+            "m s-1",
+        ),
+    }
+    member_attributes = {"cf_role": "trajectory_id", "long_name": "member of the ensemble"}
+    coordinates: dict[str, Any] = {
+        "member": ("member", np.arange(members), member_attributes),
+        "component": ["x", "y"],
+        "time": ("time", times, _TIME),
+        "wind_time": ("wind_time", wind_times, {**_TIME, "long_name": "time of the wind"}),
+    }
+    if dim != "member":
+        coordinates[dim] = (dim, np.arange(kept), {"long_name": "member whose path was kept"})
+    return xr.Dataset(variables, coordinates, {**scenario_attributes(scenario), **attributes})
+
+
+def provenance(command: str) -> dict[str, str]:
+    """Attributes that say what wrote a file, and when."""
+    from driftcore import __version__
+
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return {
+        "source": f"driftcore {__version__}",
+        "driftcore_version": __version__,
+        "history": f"{now} {command}",
+        "references": "Ailliot, Frénod & Monbet (2006), Long term object drift forecast in the "
+        "ocean with tide and wind",
+    }
+
+
+def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
+    """Write NetCDF-4, whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        As `driftcore.files.replacing`.
+    """
+    encoding: dict[Any, dict[str, Any]] = {
+        name: {"zlib": True, "complevel": 4} for name, v in dataset.items() if v.ndim > 1
+    }
+    with replacing(path, overwrite) as temporary:
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+
+
+def read_netcdf(path: Path) -> xr.Dataset:
+    """Read a forecast wholly into memory and close the file.
+
+    Raises
+    ------
+    OutputError
+        The file is missing, is not NetCDF, or was not written by driftcore.
+    """
+    import xarray as xr
+
+    if not path.is_file():
+        raise OutputError(f"{path}: no such file")
+    try:
+        with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
+            loaded = dataset.load()
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: is not a NetCDF-4 file that can be read: {error}") from None
+    missing = {"status", "stranding_time", "stranding_position"} - set(loaded.variables)
+    if missing or "configuration" not in loaded.attrs:
+        raise OutputError(f"{path}: is not a driftcore forecast (no {', '.join(sorted(missing))})")
+    return loaded

@@ -1,0 +1,602 @@
+"""From a scenario through the compiled core to datasets: the one place that runs models."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from driftcore import _core
+from driftcore.dataset import (
+    STATUSES,
+    forecast_dataset,
+    provenance,
+    read_netcdf,
+    trajectory_dataset,
+    write_netcdf,
+)
+from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
+from driftcore.scenario import (
+    Circle,
+    EnsembleConfiguration,
+    ModelName,
+    RunConfiguration,
+    Scenario,
+    WindConfiguration,
+    check_order,
+)
+from driftcore.statistics import Probability, probability
+from driftcore.wind import LocalGridBootstrap, WindPath
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Progress = Callable[[int, int], None]
+
+# Tides of wind drawn before the release, the same for every model so that a member has one wind:
+# the paper model with a window of 4 tides reaches back 3.
+_LEAD_IN_TIDES = 3
+# Small-scale steps in a tide, paper section 4.1.
+_FINE_STEPS = 100
+
+
+def trajectory(
+    scenario: Scenario,
+    path: WindPath,
+    *,
+    model: ModelName,
+    times: ArrayLike,
+    order: int | None = None,
+    window: float | None = None,
+    wind_terms: bool = True,
+    formulation: Literal["A", "B"] = "B",
+    rtol: float = 1e-8,
+    atol: float | None = None,
+) -> xr.Dataset:
+    """Follow one body under a given wind, whatever coast there is.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The body, its release and the sea.
+    path : WindPath
+        Wind in scenario units; it must cover the run (and for `"paper"` a tide and half a window
+        before it, half a tide and half a window after it).
+    model : {"full", "paper", "mean-flow"}
+        Full system (equations.md (4)–(6)), the paper's averaged system (14)–(17), or the
+        mean-flow expansion (8)–(13).
+    times : array_like of shape (n,)
+        Increasing times within the run [scenario time].
+    order : int, optional
+        0 or 1 (`"paper"`, default 1), 1 or 2 (`"mean-flow"`, default 1).
+    window : float, optional
+        Averaging window of the wind, `"paper"` only; default half a tide.
+    wind_terms : bool
+        Whether `"paper"` keeps the wind terms `B_W`.
+    formulation : {"A", "B"}
+        Exact rewrite that `"full"` integrates.
+    rtol, atol : float
+        Tolerances of the adaptive integration; `atol` [scenario units] defaults to `rtol`.
+
+    Returns
+    -------
+    xarray.Dataset
+        `position`, `velocity` of shape (time, component) in scenario units; the averaged models
+        also give `mean_position` and `mean_velocity`, without the tidal oscillation.
+
+    Raises
+    ------
+    ScenarioError
+        An argument is not accepted, or the wind path is too short.
+    DriftCoreError
+        The integration failed.
+    """
+    instants = _output_times(times, scenario.duration)
+    order, solver = _solver(scenario, model, order, window, wind_terms, formulation, rtol, atol)
+    compiled = _compiled(scenario)
+    try:
+        arrays = compiled.trajectory(path.core, solver, instants)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+    except RuntimeError as error:
+        raise DriftCoreError(str(error)) from None
+    names = ("position", "velocity", "mean_position", "mean_velocity")
+    found = {name: a for name, a in zip(names, arrays, strict=True) if len(a) == len(instants)}
+    attributes: dict[str, Any] = {"model": model, "rtol": rtol, **provenance("trajectory")}
+    if order is not None:
+        attributes["order"] = order
+    if model == "paper":
+        attributes["window"] = scenario.period / 2 if window is None else window
+        attributes["wind_terms"] = int(wind_terms)
+    return trajectory_dataset(scenario, instants, found, attributes)
+
+
+def forecast(
+    scenario: Scenario,
+    wind: LocalGridBootstrap | None = None,
+    *,
+    members: int = 1000,
+    model: ModelName = "mean-flow",
+    order: int | None = None,
+    seed: int = 1,
+    keep: int = 1000,
+    times: ArrayLike | None = None,
+    window: float | None = None,
+    wind_terms: bool = True,
+    rtol: float = 1e-8,
+    atol: float | None = None,
+    threads: int | None = None,
+    chunk: int | None = None,
+    progress: Progress | None = None,
+) -> Forecast:
+    """Follow an ensemble, each member under its own simulated wind, and count the strandings.
+
+    Member `k` of a run depends on `seed` and `k` alone: not on the number of members, threads or
+    chunks, and its wind not on the model.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The body, its release, the sea and the coast.
+    wind : LocalGridBootstrap, optional
+        The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate.
+    members : int
+        Number of members, at least 1.
+    model, order, window, wind_terms, rtol, atol
+        As in `trajectory`; the default is the mean-flow expansion of order 1.
+    seed : int
+        From 0 to 2⁶⁴ − 1.
+    keep : int
+        How many members' trajectories are kept, from the first on.
+    times : array_like of shape (n,), optional
+        Times at which they are kept; default four per tide.
+    threads : int, optional
+        Threads; default all processors.
+    chunk : int, optional
+        Members between two calls of `progress`.
+    progress : callable, optional
+        Called with (members done, members).
+
+    Returns
+    -------
+    Forecast
+        Around a CF dataset; see there.
+
+    Raises
+    ------
+    ScenarioError
+        An argument is not accepted: its name, value and what is accepted are in the message.
+    """
+    if wind is None:
+        from driftcore.paper import default_wind
+
+        wind = default_wind()
+    if not isinstance(wind, LocalGridBootstrap):
+        raise ScenarioError(f"wind: {type(wind).__name__} is not a fitted LocalGridBootstrap")
+    interval = scenario.period / 4
+    instants = _output_times(
+        regular_times(scenario.duration, interval) if times is None else times, scenario.duration
+    )
+    order, solver = _solver(scenario, model, order, window, wind_terms, "B", rtol, atol)
+    settings = EnsembleConfiguration(
+        members=members,
+        seed=seed,
+        model=model,
+        order=order,
+        window=window,
+        wind_terms=wind_terms,
+        rtol=rtol,
+        keep=keep,
+    )
+    threads = _count("threads", _default_threads() if threads is None else threads)
+    chunk = _count("chunk", max(1, members // 100) if chunk is None else chunk)
+    keep = min(keep, members)
+    generator, wind_times = _generator(scenario, wind, solver)
+    compiled = _compiled(scenario)
+    _warn_of_season(scenario, wind)
+
+    parts = []
+    for first in range(0, members, chunk):
+        count = min(chunk, members - first)
+        parts.append(compiled.run(generator, solver, seed, first, count, instants, keep, threads))
+        if progress is not None:
+            progress(first + count, members)
+    status, stranding_time, stranding_position, position = (
+        np.concatenate([part[k] for part in parts]) for k in range(4)
+    )
+    _warn_of_failures(status, [part[4] for part in parts])
+
+    kept_wind, _ = wind.core.sample(keep, len(wind_times), seed)
+    adrift = wind_times >= -1e-12
+    record = wind.record
+    configuration = RunConfiguration(
+        scenario=scenario, wind=_wind_configuration(wind), ensemble=settings
+    )
+    dataset = forecast_dataset(
+        scenario,
+        status=status,
+        stranding_time=stranding_time,
+        stranding_position=stranding_position,
+        times=instants,
+        position=position,
+        wind_times=wind_times[adrift],
+        wind=kept_wind[:, adrift],
+        attributes={
+            "title": f"Drift forecast: {scenario.name}, {members} members",
+            "model": model,
+            **({} if order is None else {"order": order}),
+            "seed": np.uint64(seed),
+            "members": members,
+            "wind_label": record.label,
+            "wind_synthetic": int(record.synthetic),
+            "wind_sha256": record.sha256,
+            "configuration": configuration.to_toml(),
+            **provenance(f"forecast of {members} members"),
+        },
+    )
+    return Forecast(dataset)
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """An ensemble forecast: probabilities read from a CF dataset.
+
+    Attributes
+    ----------
+    dataset : xarray.Dataset
+        `status(member)`, `stranding_time(member)`, `stranding_position(member, component)`,
+        `position(member, time, component)` and `wind_velocity(member, wind_time, component)` of
+        the kept members (dimension `kept_member` where not all are kept). Its attributes hold the
+        configuration, version and seed, enough to run it again.
+    """
+
+    dataset: xr.Dataset
+
+    @cached_property
+    def counts(self) -> dict[str, int]:
+        """Number of members by status."""
+        status = self.dataset["status"].values
+        return {name: int((status == flag).sum()) for flag, name in enumerate(STATUSES)}
+
+    @property
+    def followed(self) -> int:
+        """Members that could be followed: all but the failed ones."""
+        return self.dataset.sizes["member"] - self.counts["failed"]
+
+    def stranding_probability(self, by: float | None = None) -> Probability:
+        """Probability of having stranded by a time (default: the end of the run).
+
+        Parameters
+        ----------
+        by : float, optional
+            Scenario time.
+
+        Returns
+        -------
+        Probability
+            Estimate and 95 % Wilson interval; members that left the domain count as not stranded,
+            failed members do not count.
+        """
+        times = self.dataset["stranding_time"].values
+        limit = np.inf if by is None else by
+        return probability(int((times <= limit).sum()), self.followed)
+
+    def stranding_by_sector(self, sectors: int = 16) -> xr.Dataset:
+        """Probability of stranding in each direction from the circle's centre, or the release.
+
+        Parameters
+        ----------
+        sectors : int
+            Number of equal sectors; the first is centred on north (+y), then clockwise.
+
+        Returns
+        -------
+        xarray.Dataset
+            `probability`, `low`, `high` of shape (direction,), `direction` in degrees.
+        """
+        import xarray as xr
+
+        from driftcore.statistics import wilson
+
+        sectors = _count("sectors", sectors)
+        places = self.dataset["stranding_position"].values
+        places = places[np.isfinite(places[:, 0])] - self._center()
+        bearing = np.degrees(np.arctan2(places[:, 0], places[:, 1]))
+        sector = np.round(bearing / (360 / sectors)).astype(int) % sectors
+        count = np.bincount(sector, minlength=sectors)
+        low, high = wilson(count, self.followed)
+        direction = np.arange(sectors) * 360 / sectors
+        return xr.Dataset(
+            {
+                "probability": ("direction", count / self.followed),
+                "low": ("direction", low),
+                "high": ("direction", high),
+            },
+            {"direction": ("direction", direction, {"units": "degree", "long_name": "toward"})},
+        )
+
+    def stranding_time_quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> xr.DataArray:
+        """Quantiles of the stranding time among the stranded members [scenario time].
+
+        NaN where none stranded.
+        """
+        import xarray as xr
+
+        times = self.dataset["stranding_time"].values
+        times = times[np.isfinite(times)]
+        values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
+        return xr.DataArray(values, {"quantile": list(levels)}, name="stranding_time")
+
+    def _center(self) -> NDArray[np.float64]:
+        import json
+
+        coast = json.loads(self.dataset.attrs.get("coast", "{}"))
+        return np.array(coast.get("center") or json.loads(self.dataset.attrs["release"]))
+
+    def configuration(self) -> str:
+        """TOML text of the run; `driftcore run` reads it."""
+        return str(self.dataset.attrs["configuration"])
+
+    def to_netcdf(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Write the dataset as NetCDF-4: to a temporary name first, then renamed.
+
+        Raises
+        ------
+        OutputError
+            The file exists and `overwrite` is not set, or it cannot be written.
+        """
+        write_netcdf(self.dataset, Path(path), overwrite)
+
+    def __repr__(self) -> str:
+        strands = self.stranding_probability() if self.followed else "unknown"
+        members = self.dataset.sizes["member"]
+        return f"Forecast({members} members, probability of stranding {strands})"
+
+
+def run(
+    configuration: RunConfiguration,
+    *,
+    folder: Path | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Forecast:
+    """Run a whole configuration: fit the wind it names, then forecast.
+
+    Parameters
+    ----------
+    configuration : RunConfiguration
+        As `RunConfiguration.from_toml` reads it.
+    folder : Path, optional
+        Where a relative path of the wind record starts; default the working folder.
+    threads, progress
+        As in `forecast`.
+    """
+    settings = configuration.ensemble
+    scenario = configuration.scenario
+    _solver(
+        scenario,
+        settings.model,
+        settings.order,
+        settings.window,
+        settings.wind_terms,
+        "B",
+        settings.rtol,
+        None,
+    )
+    _compiled(scenario)
+    interval = scenario.period / settings.outputs_per_tide
+    return forecast(
+        scenario,
+        fitted_wind(configuration.wind, folder),
+        members=settings.members,
+        model=settings.model,
+        order=settings.order,
+        seed=settings.seed,
+        keep=settings.keep,
+        times=regular_times(scenario.duration, interval),
+        window=settings.window,
+        wind_terms=settings.wind_terms,
+        rtol=settings.rtol,
+        threads=threads,
+        progress=progress,
+    )
+
+
+def fitted_wind(wind: WindConfiguration, folder: Path | None = None) -> LocalGridBootstrap:
+    """Fit the wind that a configuration names; relative paths start at `folder`."""
+    from driftcore.climate import synthetic_record
+
+    record: Any = synthetic_record() if wind.record == "embedded" else Path(wind.record)
+    if isinstance(record, Path) and folder is not None:
+        record = folder / record
+    return LocalGridBootstrap.fit(
+        record,
+        months=wind.months,
+        mode=wind.mode,
+        h=wind.h,
+        b=wind.b,
+        order=wind.order,
+        gaps=wind.gaps,
+        share=wind.share,
+        memory_h=wind.memory_h,
+    )
+
+
+def open_forecast(path: str | os.PathLike[str]) -> Forecast:
+    """Read a forecast written by `Forecast.to_netcdf`.
+
+    Raises
+    ------
+    OutputError
+        The file is missing or is not a driftcore forecast.
+    """
+    return Forecast(read_netcdf(Path(path)))
+
+
+def member_path(
+    scenario: Scenario, wind: LocalGridBootstrap, member: int, seed: int = 1
+) -> WindPath:
+    """Wind of one member of a forecast, in scenario units, on its fine knots.
+
+    It covers the run and what any averaging window up to four tides wide needs around it.
+    """
+    solver = _core.Solver.paper(1, 4 * scenario.period, True, 1e-8, 1e-8)
+    generator, _ = _generator(scenario, wind, solver)
+    end = solver.wind_needed(scenario.duration, scenario.period)[1]
+    member = _count("member", member, least=0)
+    return WindPath(*generator.path(seed, member, end))
+
+
+def regular_times(duration: float, interval: float) -> NDArray[np.float64]:
+    """Regular times from 0 to the end of a run, both included, about `interval` apart."""
+    return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
+
+
+def _compiled(scenario: Scenario) -> _core.Scenario:
+    """Build the core's scenario, and refuse a release on the wrong side of the coast."""
+    x, y = scenario.position
+    try:
+        sea = scenario.sea.core(scenario.period, scenario.epsilon, scenario.duration)
+        coast = None
+        if scenario.coast is not None:
+            inside = scenario.side == "inside"
+            if isinstance(scenario.coast, Circle):
+                coast = _core.Coast.circle(scenario.coast.center, scenario.coast.radius, inside)
+            else:
+                rings = [np.array(ring) for ring in scenario.coast.rings]
+                coast = _core.Coast.polygons(rings, inside)
+        compiled = _core.Scenario(
+            sea, coast, scenario.drag, scenario.duration, scenario.position, scenario.velocity
+        )
+        sea.velocity(np.zeros(1), np.array([[x, y]]))
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+    if coast is not None and coast.clearance(x, y) < 0:
+        found, wanted = ("outside", "within") if inside else ("within", "outside")
+        raise ScenarioError(
+            f"scenario.position: ({x:g}, {y:g}) lies {found} the coast line, by "
+            f"{-coast.clearance(x, y):.4g}; with side = {scenario.side!r} it must lie {wanted} it"
+        )
+    return compiled
+
+
+def _solver(
+    scenario: Scenario,
+    model: str,
+    order: int | None,
+    window: float | None,
+    wind_terms: bool,
+    formulation: str,
+    rtol: float,
+    atol: float | None,
+) -> tuple[int | None, _core.Solver]:
+    try:
+        order = check_order(model, order)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+    atol = rtol if atol is None else atol
+    for field, value in (("rtol", rtol), ("atol", atol)):
+        if not (math.isfinite(value) and value > 0):
+            raise ScenarioError(f"{field}: {value} is not accepted; it must be above 0")
+    if window is not None and not (math.isfinite(window) and window > 0):
+        raise ScenarioError(f"window: {window} is not accepted; it must be above 0")
+    if window is not None and model != "paper":
+        raise ScenarioError(f'window: model {model!r} has none; only "paper" averages the wind')
+    if formulation not in ("A", "B"):
+        raise ScenarioError(f'formulation: {formulation!r} is not accepted; "A" or "B"')
+    if model == "full":
+        return order, _core.Solver.full(formulation == "A", rtol, atol)
+    assert order is not None  # noqa: S101 (for the type checker: both models below have a default)
+    if model == "mean-flow":
+        return order, _core.Solver.mean_flow(order, rtol, atol)
+    window = scenario.period / 2 if window is None else window
+    return order, _core.Solver.paper(order, window, wind_terms, rtol, atol)
+
+
+def _generator(
+    scenario: Scenario, wind: LocalGridBootstrap, solver: _core.Solver
+) -> tuple[_core.WindGenerator, NDArray[np.float64]]:
+    """Build the wind generator in scenario units, and the times of its synoptic steps."""
+    step = wind.record.step_h / scenario.hours_per_unit
+    substeps = max(1, math.ceil(step / (scenario.period / _FINE_STEPS) - 1e-9))
+    lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
+    start, end = solver.wind_needed(scenario.duration, scenario.period)
+    if start < -_LEAD_IN_TIDES * scenario.period * (1 + 1e-9):
+        raise ScenarioError(
+            f"window: the simulated wind starts {_LEAD_IN_TIDES} tides before the release, but "
+            f"this window needs it {-start / scenario.period:.3g} tides before; "
+            f"windows up to {4 * scenario.period:g} (4 tides) are accepted"
+        )
+    generator = _core.WindGenerator(
+        wind.core,
+        step,
+        scenario.wind_unit,
+        wind.small_scale_sd / scenario.wind_unit,
+        wind.memory_h / scenario.hours_per_unit,
+        substeps,
+        lead_in,
+    )
+    steps = lead_in + max(1, math.ceil(end / step - 1e-9)) + 1
+    return generator, (np.arange(steps) - lead_in) * step
+
+
+def _output_times(times: ArrayLike, duration: float) -> NDArray[np.float64]:
+    instants = np.atleast_1d(np.asarray(times, dtype=float))
+    if instants.ndim != 1 or len(instants) == 0 or not np.isfinite(instants).all():
+        raise ScenarioError("times: must be one finite number or a list of them")
+    if (np.diff(instants) < 0).any():
+        raise ScenarioError("times: must increase")
+    if instants[0] < 0 or instants[-1] > duration:
+        raise ScenarioError(
+            f"times: [{instants[0]:g}, {instants[-1]:g}] is not accepted; "
+            f"the run covers [0, {duration:g}]"
+        )
+    return np.ascontiguousarray(instants)
+
+
+def _count(field: str, value: int, least: int = 1) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ScenarioError(f"{field}: {value!r} is not accepted; a whole number from {least} up")
+    return int(value)
+
+
+def _default_threads() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _wind_configuration(wind: LocalGridBootstrap) -> WindConfiguration:
+    known = wind.config()
+    if wind.record.synthetic:
+        known["record"] = "embedded"
+    else:
+        known["record"] = known.get("source", f"{wind.record.label} (given in Python)")
+    return WindConfiguration(**{k: known[k] for k in WindConfiguration.model_fields if k in known})
+
+
+def _warn_of_season(scenario: Scenario, wind: LocalGridBootstrap) -> None:
+    if scenario.duration_days > wind.span_days:
+        warnings.warn(
+            f"the run lasts {scenario.duration_days:.0f} days, the months chosen "
+            f"{wind.span_days:.0f}: the simulated season goes on beyond its end",
+            DriftCoreWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_of_failures(status: NDArray[np.int8], messages: list[str | None]) -> None:
+    failed = np.flatnonzero(status == STATUSES.index("failed"))
+    if len(failed):
+        first = next(message for message in messages if message is not None)
+        warnings.warn(
+            f"{len(failed)} of {len(status)} members failed; member {failed[0]}: {first}",
+            DriftCoreWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,165 @@
+"""What is forecast: the body, its release, the sea and the coast; and how: wind and ensemble."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PositiveFloat, field_validator, model_validator
+
+from driftcore.configuration import Configuration
+from driftcore.sea import AcademicSea, HarmonicSea, Pair
+
+ModelName = Literal["full", "paper", "mean-flow"]
+Side = Literal["inside", "outside"]
+
+
+def check_order(model: str, order: int | None) -> int | None:
+    """Give the order of a model's expansion, its default where none is named.
+
+    Raises
+    ------
+    ValueError
+        The model does not exist, or not in this order.
+    """
+    orders = {"full": (None,), "paper": (1, 0), "mean-flow": (1, 2)}
+    if model not in orders:
+        raise ValueError(f"model: {model!r} is not accepted; one of {', '.join(orders)}")
+    if order is None:
+        return orders[model][0]
+    if order not in orders[model]:
+        known = " or ".join(str(o) for o in sorted(o for o in orders[model] if o is not None))
+        accepted = f"orders {known} exist" if known else "it is exact and has no order"
+        raise ValueError(f"order: {order} is not accepted for model {model!r}; {accepted}")
+    return order
+
+
+class Circle(Configuration):
+    """A circular coast line, paper section 5."""
+
+    kind: Literal["circle"] = "circle"
+    center: Pair = Field(default=(1.0, 1.0), description="centre of the circle")
+    radius: PositiveFloat = Field(default=0.3, description="radius of the circle")
+
+
+class Polygons(Configuration):
+    """Coast lines from closed rings of points; a ring inside another is an island or a lake."""
+
+    kind: Literal["polygons"] = "polygons"
+    rings: Annotated[
+        tuple[Annotated[tuple[Pair, ...], Field(min_length=3)], ...], Field(min_length=1)
+    ] = Field(description="each ring a list of [x, y]; it closes itself")
+
+
+class Scenario(Configuration):
+    """A body adrift: equations.md (1), in units where one run is one unit of time.
+
+    `epsilon` is the tide period over the run; a velocity of 1 is `wind_unit`; a time of 1 is
+    `tide_period_h / epsilon` hours.
+    """
+
+    name: str = Field(default="paper", description="a name for people")
+    epsilon: Annotated[float, Field(gt=0, le=0.5)] = Field(
+        default=1 / 50, description="tide period, in units of the run"
+    )
+    duration: PositiveFloat = Field(default=1.0, description="length of the run; 1 in the paper")
+    drag: PositiveFloat = Field(default=1.0, description="drag rate Λ, per unit of time")
+    position: Pair = Field(default=(1.0, 1.0), description="position at the release")
+    velocity: Pair = Field(default=(0.0, 0.0), description="velocity at the release")
+    wind_unit: PositiveFloat = Field(default=3.0, description="the unit of velocity [m/s]")
+    tide_period_h: PositiveFloat = Field(default=12.5, description="tide period [h]")
+    side: Side = Field(
+        default="inside",
+        description='"inside": strands on leaving the coast line; "outside": on entering',
+    )
+    sea: Annotated[AcademicSea | HarmonicSea, Field(description="m = M + epsilon N")] = (
+        AcademicSea()
+    )
+    coast: Annotated[Circle | Polygons, Field(discriminator="kind")] | None = Field(
+        default=Circle(), description="where the body may strand"
+    )
+
+    @field_validator("sea", mode="before")
+    @classmethod
+    def _sea_from_table(cls, value: Any) -> Any:
+        return AcademicSea(**value) if isinstance(value, dict) else value
+
+    @property
+    def period(self) -> float:
+        """Tide period [scenario time]."""
+        return self.epsilon
+
+    @property
+    def hours_per_unit(self) -> float:
+        """Hours in one unit of scenario time."""
+        return self.tide_period_h / self.epsilon
+
+    @property
+    def duration_days(self) -> float:
+        """Length of the run [d]."""
+        return self.duration * self.hours_per_unit / 24
+
+
+class WindConfiguration(Configuration):
+    """Where the wind comes from and how it is resampled: docs/equations.md (18)–(24)."""
+
+    record: str = Field(
+        default="embedded",
+        description='CSV file of u10, v10 [m/s]; "embedded": a synthetic climate',
+    )
+    months: Annotated[tuple[Annotated[int, Field(ge=1, le=12)], ...], Field(min_length=1)] = Field(
+        default=(6, 7, 8), description="calendar months resampled"
+    )
+    gaps: Literal["error", "segment"] = Field(
+        default="error", description='what a gap in the record is: an "error", or a new "segment"'
+    )
+    mode: Literal["residual", "lgb"] = Field(
+        default="residual", description='"residual", or "lgb" as in the paper'
+    )
+    order: Annotated[int, Field(ge=1, le=8)] = Field(default=2, description="Markov order")
+    h: PositiveFloat | None = Field(
+        default=None, description="bandwidth; chosen by likelihood if absent"
+    )
+    b: Annotated[float, Field(ge=0)] | None = Field(
+        default=None, description='noise of mode "lgb"; chosen by likelihood if absent'
+    )
+    share: Annotated[float, Field(ge=0, lt=1)] = Field(
+        default=0.1, description="share of the small scale in the standard deviation"
+    )
+    memory_h: PositiveFloat = Field(default=3.0, description="memory of the small scale [h]")
+
+
+class EnsembleConfiguration(Configuration):
+    """How the members are followed, and what is kept of them."""
+
+    members: Annotated[int, Field(ge=1)] = Field(default=1000, description="number of winds drawn")
+    seed: Annotated[int, Field(ge=0, lt=2**64)] = Field(
+        default=1, description="names the winds drawn"
+    )
+    model: ModelName = Field(default="mean-flow", description='"mean-flow", "paper" or "full"')
+    order: Annotated[int, Field(ge=0, le=2)] | None = Field(
+        default=None, description='order of the expansion: 1 or 2 ("mean-flow"), 0 or 1 ("paper")'
+    )
+    window: PositiveFloat | None = Field(
+        default=None, description='averaging window of the wind, "paper" only; epsilon/2 if absent'
+    )
+    wind_terms: bool = Field(default=True, description='keep the terms B_W, "paper" only')
+    rtol: Annotated[float, Field(gt=0, lt=0.1)] = Field(
+        default=1e-8, description="relative tolerance"
+    )
+    keep: Annotated[int, Field(ge=0)] = Field(
+        default=1000, description="members whose trajectories are kept, from the first on"
+    )
+    outputs_per_tide: PositiveFloat = Field(default=4, description="positions kept per tide")
+
+    @model_validator(mode="after")
+    def _order_exists(self) -> EnsembleConfiguration:
+        check_order(self.model, self.order)
+        return self
+
+
+class RunConfiguration(Configuration):
+    """Everything that names a forecast: what `driftcore run` reads."""
+
+    scenario: Scenario = Field(default=Scenario())
+    wind: WindConfiguration = Field(default=WindConfiguration())
+    ensemble: EnsembleConfiguration = Field(default=EnsembleConfiguration())
