@@ -8,8 +8,7 @@ Examples
 >>> print(forecast.stranding_probability())
 """
 
-from driftcore import paper
-from driftcore._core import VERSION as __version__
+from driftcore import _core, paper
 from driftcore.errors import (
     DriftCoreError,
     DriftCoreWarning,
@@ -17,11 +16,22 @@ from driftcore.errors import (
     RecordError,
     ScenarioError,
 )
-from driftcore.forecast import Forecast, forecast, member_path, open_forecast, trajectory
+from driftcore.forecast import (
+    Forecast,
+    forecast,
+    member_path,
+    member_trajectories,
+    open_forecast,
+    record_paths,
+    run,
+    trajectory,
+)
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
 from driftcore.statistics import Probability
 from driftcore.wind import LocalGridBootstrap, WindPath, WindRecord, read_record
+
+__version__ = _core.VERSION
 
 __all__ = [
     "AcademicSea",
@@ -43,8 +53,11 @@ __all__ = [
     "__version__",
     "forecast",
     "member_path",
+    "member_trajectories",
     "open_forecast",
     "paper",
     "read_record",
+    "record_paths",
+    "run",
     "trajectory",
 ]

@@ -7,6 +7,7 @@ VERSION: str
 
 _Floats = NDArray[np.float64]
 _Integers = NDArray[np.int64]
+_Outcome = tuple[NDArray[np.int8], _Floats, _Floats, _Floats, str | None]
 _Current = tuple[tuple[float, float, float, float, int], _Floats]
 
 @final
@@ -90,9 +91,7 @@ class Solver:
     @staticmethod
     def full(general: bool, rtol: float, atol: float) -> Solver: ...
     @staticmethod
-    def paper(
-        order: int, window: float, wind_terms: bool, rtol: float, atol: float
-    ) -> Solver: ...
+    def paper(order: int, window: float, wind_terms: bool, rtol: float, atol: float) -> Solver: ...
     @staticmethod
     def mean_flow(order: int, rtol: float, atol: float) -> Solver: ...
     def wind_needed(self, duration: float, period: float) -> tuple[float, float]: ...
@@ -108,9 +107,7 @@ class Scenario:
         position: tuple[float, float],
         velocity: tuple[float, float],
     ) -> Scenario: ...
-    def trajectory(
-        self, wind: WindPath, solver: Solver, times: _Floats
-    ) -> list[_Floats]: ...
+    def trajectory(self, wind: WindPath, solver: Solver, times: _Floats) -> list[_Floats]: ...
     def run(
         self,
         wind: WindGenerator,
@@ -121,4 +118,14 @@ class Scenario:
         times: _Floats,
         keep: int,
         threads: int,
-    ) -> tuple[NDArray[np.int8], _Floats, _Floats, _Floats, str | None]: ...
+    ) -> _Outcome: ...
+    def run_under(
+        self,
+        paths: list[WindPath],
+        solver: Solver,
+        first: int,
+        count: int,
+        times: _Floats,
+        keep: int,
+        threads: int,
+    ) -> _Outcome: ...

@@ -80,6 +80,7 @@ def demo(
     forecast = _run(configuration, Path(), threads, quiet)
     forecast.to_netcdf(path, overwrite)
     written = [path, *_plots(forecast, output, overwrite)]
+    written += _member_plots(forecast, output, overwrite)
     if not quiet:
         _summary(forecast)
         _say_written(written)
@@ -187,6 +188,13 @@ def _plots(forecast: Forecast, folder: Path, overwrite: bool) -> list[Path]:
     from driftcore import plot as figures
 
     return figures.save_all(forecast.dataset, folder, overwrite)
+
+
+def _member_plots(forecast: Forecast, folder: Path, overwrite: bool) -> list[Path]:
+    from driftcore import plot as figures
+    from driftcore.forecast import member_trajectories
+
+    return figures.save_member(*member_trajectories(forecast), folder, overwrite)
 
 
 def _result(forecast: Forecast) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from driftcore.dataset import (
     trajectory_dataset,
     write_netcdf,
 )
-from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
+from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
 from driftcore.scenario import (
     Circle,
     EnsembleConfiguration,
@@ -34,7 +34,7 @@ from driftcore.scenario import (
     check_order,
 )
 from driftcore.statistics import Probability, probability
-from driftcore.wind import LocalGridBootstrap, WindPath
+from driftcore.wind import LocalGridBootstrap, WindPath, WindRecord
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -121,9 +121,9 @@ def trajectory(
 
 def forecast(
     scenario: Scenario,
-    wind: LocalGridBootstrap | None = None,
+    wind: LocalGridBootstrap | Sequence[WindPath] | None = None,
     *,
-    members: int = 1000,
+    members: int | None = None,
     model: ModelName = "mean-flow",
     order: int | None = None,
     seed: int = 1,
@@ -146,10 +146,11 @@ def forecast(
     ----------
     scenario : Scenario
         The body, its release, the sea and the coast.
-    wind : LocalGridBootstrap, optional
-        The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate.
-    members : int
-        Number of members, at least 1.
+    wind : LocalGridBootstrap or sequence of WindPath, optional
+        The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate. Or the
+        winds themselves, one member each.
+    members : int, optional
+        Number of members; default 1000, or as many as there are paths.
     model, order, window, wind_terms, rtol, atol
         As in `trajectory`; the default is the mean-flow expansion of order 1.
     seed : int
@@ -157,7 +158,7 @@ def forecast(
     keep : int
         How many members' trajectories are kept, from the first on.
     times : array_like of shape (n,), optional
-        Times at which they are kept; default four per tide.
+        Times at which they are kept; default eight per tide.
     threads : int, optional
         Threads; default all processors.
     chunk : int, optional
@@ -179,15 +180,17 @@ def forecast(
         from driftcore.paper import default_wind
 
         wind = default_wind()
-    if not isinstance(wind, LocalGridBootstrap):
-        raise ScenarioError(f"wind: {type(wind).__name__} is not a fitted LocalGridBootstrap")
-    interval = scenario.period / 4
-    instants = _output_times(
-        regular_times(scenario.duration, interval) if times is None else times, scenario.duration
-    )
     order, solver = _solver(scenario, model, order, window, wind_terms, "B", rtol, atol)
+    paths = None
+    if not isinstance(wind, LocalGridBootstrap):
+        paths = _checked_paths(wind, solver, scenario)
+    if paths is not None and members not in (None, len(paths)):
+        raise ScenarioError(f"members: {members} is not accepted; {len(paths)} paths were given")
+    if times is None:
+        times = regular_times(scenario.duration, scenario.period / 8)
+    instants = _output_times(times, scenario.duration)
     settings = EnsembleConfiguration(
-        members=members,
+        members=_default_members(paths) if members is None else members,
         seed=seed,
         model=model,
         order=order,
@@ -195,18 +198,24 @@ def forecast(
         wind_terms=wind_terms,
         rtol=rtol,
         keep=keep,
+        outputs_per_tide=max(1, len(instants) - 1) * scenario.period / scenario.duration,
     )
+    members, keep = settings.members, min(keep, settings.members)
     threads = _count("threads", _default_threads() if threads is None else threads)
     chunk = _count("chunk", max(1, members // 100) if chunk is None else chunk)
-    keep = min(keep, members)
-    generator, wind_times = _generator(scenario, wind, solver)
     compiled = _compiled(scenario)
-    _warn_of_season(scenario, wind)
+    if isinstance(wind, LocalGridBootstrap):
+        generator, wind_times = _generator(scenario, wind, solver)
+        _warn_of_season(scenario, wind)
 
     parts = []
     for first in range(0, members, chunk):
         count = min(chunk, members - first)
-        parts.append(compiled.run(generator, solver, seed, first, count, instants, keep, threads))
+        common = (first, count, instants, keep, threads)
+        if paths is None:
+            parts.append(compiled.run(generator, solver, seed, *common))
+        else:
+            parts.append(compiled.run_under(paths, solver, *common))
         if progress is not None:
             progress(first + count, members)
     status, stranding_time, stranding_position, position = (
@@ -214,12 +223,19 @@ def forecast(
     )
     _warn_of_failures(status, [part[4] for part in parts])
 
-    kept_wind, _ = wind.core.sample(keep, len(wind_times), seed)
-    adrift = wind_times >= -1e-12
-    record = wind.record
-    configuration = RunConfiguration(
-        scenario=scenario, wind=_wind_configuration(wind), ensemble=settings
-    )
+    if isinstance(wind, LocalGridBootstrap):
+        kept_wind, _ = wind.core.sample(keep, len(wind_times), seed)
+        adrift = wind_times >= -1e-12
+        wind_times, kept_wind = wind_times[adrift], kept_wind[:, adrift]
+        wind_settings, about = _wind_configuration(wind), _wind_attributes(wind)
+    else:
+        wind_times = instants
+        kept_wind = np.array([path.velocity(instants) for path in (paths or [])[:keep]])
+        kept_wind = kept_wind.reshape(keep, len(instants), 2) * scenario.wind_unit
+        label = f"{members} wind paths given in Python"
+        wind_settings = WindConfiguration(record=label)
+        about = {"wind_label": label, "wind_synthetic": 0}
+    configuration = RunConfiguration(scenario=scenario, wind=wind_settings, ensemble=settings)
     dataset = forecast_dataset(
         scenario,
         status=status,
@@ -227,17 +243,15 @@ def forecast(
         stranding_position=stranding_position,
         times=instants,
         position=position,
-        wind_times=wind_times[adrift],
-        wind=kept_wind[:, adrift],
+        wind_times=wind_times,
+        wind=kept_wind,
         attributes={
             "title": f"Drift forecast: {scenario.name}, {members} members",
             "model": model,
             **({} if order is None else {"order": order}),
             "seed": np.uint64(seed),
             "members": members,
-            "wind_label": record.label,
-            "wind_synthetic": int(record.synthetic),
-            "wind_sha256": record.sha256,
+            **about,
             "configuration": configuration.to_toml(),
             **provenance(f"forecast of {members} members"),
         },
@@ -455,6 +469,78 @@ def member_path(
     return WindPath(*generator.path(seed, member, end))
 
 
+def record_paths(scenario: Scenario, record: WindRecord) -> list[WindPath]:
+    """Every window of a record that is as long as a run, as wind paths in scenario units.
+
+    What a forecast resamples from, without resampling: the windows overlap, so that they are far
+    from independent.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its units and the length of its run.
+    record : WindRecord
+        As `read_record` gives it; no window spans two of its segments.
+
+    Raises
+    ------
+    RecordError
+        No segment is as long as the run.
+    """
+    step = record.step_h / scenario.hours_per_unit
+    length = math.ceil(scenario.duration / step - 1e-9) + 1
+    times = np.arange(length) * step
+    segment = record.segment
+    first = np.arange(max(0, len(record) - length + 1))
+    first = first[segment[first] == segment[first + length - 1]]
+    if not len(first):
+        raise RecordError(
+            f"record: no segment lasts the {scenario.duration_days:.1f} days of the run"
+        )
+    velocity = record.velocity / scenario.wind_unit
+    return [WindPath(times, velocity[k : k + length]) for k in first]
+
+
+def member_trajectories(
+    forecast: Forecast, member: int = 0
+) -> tuple[xr.Dataset, xr.Dataset, WindPath]:
+    """Follow one member of a forecast again, closely, by the full and by an averaged model.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        Made by `run` or `forecast`; its configuration names the wind.
+    member : int
+        Index of the member.
+
+    Returns
+    -------
+    full, averaged : xarray.Dataset
+        As `trajectory`, 40 times per tide; `averaged` by the forecast's model, or by mean-flow of
+        order 1 where that was the full one.
+    path : WindPath
+        The member's wind.
+    """
+    configuration = RunConfiguration.from_toml(forecast.configuration())
+    scenario, settings = configuration.scenario, configuration.ensemble
+    wind = fitted_wind(configuration.wind)
+    path = member_path(scenario, wind, member, settings.seed)
+    times = regular_times(scenario.duration, scenario.period / 40)
+    full = trajectory(scenario, path, model="full", times=times, rtol=1e-10)
+    averaged = trajectory(
+        scenario,
+        path,
+        model="mean-flow" if settings.model == "full" else settings.model,
+        order=settings.order,
+        times=times,
+        window=settings.window,
+        wind_terms=settings.wind_terms,
+    )
+    for dataset in (full, averaged):
+        dataset.attrs.update(_wind_attributes(wind))
+    return full, averaged, path
+
+
 def regular_times(duration: float, interval: float) -> NDArray[np.float64]:
     """Regular times from 0 to the end of a run, both included, about `interval` apart."""
     return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
@@ -521,6 +607,27 @@ def _solver(
     return order, _core.Solver.paper(order, window, wind_terms, rtol, atol)
 
 
+def _checked_paths(
+    paths: Sequence[WindPath], solver: _core.Solver, scenario: Scenario
+) -> list[_core.WindPath]:
+    start, end = solver.wind_needed(scenario.duration, scenario.period)
+    slack = 1e-9 * (end - start)
+    if not isinstance(paths, Sequence) or not all(isinstance(p, WindPath) for p in paths):
+        raise ScenarioError(
+            f"wind: {type(paths).__name__} is not accepted; a fitted LocalGridBootstrap, or a list "
+            "of WindPath"
+        )
+    if not paths:
+        raise ScenarioError("wind: the list of paths is empty")
+    for k, path in enumerate(paths):
+        if path.times[0] > start + slack or path.times[-1] < end - slack:
+            raise ScenarioError(
+                f"wind: path {k} covers [{path.times[0]:g}, {path.times[-1]:g}]; "
+                f"the run needs [{start:g}, {end:g}]"
+            )
+    return [path.core for path in paths]
+
+
 def _generator(
     scenario: Scenario, wind: LocalGridBootstrap, solver: _core.Solver
 ) -> tuple[_core.WindGenerator, NDArray[np.float64]]:
@@ -545,7 +652,8 @@ def _generator(
         lead_in,
     )
     steps = lead_in + max(1, math.ceil(end / step - 1e-9)) + 1
-    return generator, (np.arange(steps) - lead_in) * step
+    times: NDArray[np.float64] = (np.arange(steps) - lead_in) * np.float64(step)
+    return generator, times
 
 
 def _output_times(times: ArrayLike, duration: float) -> NDArray[np.float64]:
@@ -568,6 +676,10 @@ def _count(field: str, value: int, least: int = 1) -> int:
     return int(value)
 
 
+def _default_members(paths: list[_core.WindPath] | None) -> int:
+    return 1000 if paths is None else len(paths)
+
+
 def _default_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -579,6 +691,15 @@ def _wind_configuration(wind: LocalGridBootstrap) -> WindConfiguration:
     else:
         known["record"] = known.get("source", f"{wind.record.label} (given in Python)")
     return WindConfiguration(**{k: known[k] for k in WindConfiguration.model_fields if k in known})
+
+
+def _wind_attributes(wind: LocalGridBootstrap) -> dict[str, Any]:
+    record = wind.record
+    return {
+        "wind_label": record.label,
+        "wind_synthetic": int(record.synthetic),
+        "wind_sha256": record.sha256,
+    }
 
 
 def _warn_of_season(scenario: Scenario, wind: LocalGridBootstrap) -> None:

@@ -40,6 +40,7 @@ __all__ = [
     "plane",
     "roses",
     "save_all",
+    "save_member",
     "stranding_rose",
     "stranding_times",
     "time_series",
@@ -75,7 +76,7 @@ _WIDTH = 7.0  # in, two columns of a journal
 _TRAJECTORIES, _ROSES, _ROSE = (_WIDTH, 4.9), (_WIDTH, 4.9), (4.2, 4.9)
 _TIMES, _SERIES = (_WIDTH, 3.8), (_WIDTH, 6.0)
 _TITLE, _LABEL, _SMALL = 9.5, 9.0, 8.0  # pt
-_DPI = 300
+_DPI = 200
 _TIME_LABEL = "time [scenario units]"
 
 
@@ -448,7 +449,7 @@ def plane(full: xr.Dataset, averaged: xr.Dataset, ax: Axes | None = None) -> lis
 
 
 def save_all(dataset: xr.Dataset, folder: str | Path, overwrite: bool = False) -> list[Path]:
-    """Write a forecast's figures as PNG files of 300 dots per inch.
+    """Write a forecast's figures as PNG files of 200 dots per inch.
 
     Parameters
     ----------
@@ -472,31 +473,68 @@ def save_all(dataset: xr.Dataset, folder: str | Path, overwrite: bool = False) -
     ScenarioError
         The dataset is not a forecast.
     """
-    folder = Path(folder)
+    paths, rose_pair, times = _figure(_TRAJECTORIES), _figure(_ROSES), _figure(_TIMES)
+    trajectories(dataset, ax=paths.subplots())
+    roses(dataset, fig=rose_pair)
+    stranding_times(dataset, ax=times.subplots())
+    figures = {"trajectories": paths, "roses": rose_pair, "stranding_times": times}
+    return _save(figures, Path(folder), overwrite)
+
+
+def save_member(
+    full: xr.Dataset,
+    averaged: xr.Dataset,
+    path: Wind,
+    folder: str | Path,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write the figures of one member, followed by the full and by an averaged model.
+
+    Parameters
+    ----------
+    full, averaged, path
+        As in `time_series`.
+    folder, overwrite
+        As in `save_all`.
+
+    Returns
+    -------
+    list of pathlib.Path
+        ``member_plane.png``, ``member_position.png`` and ``member_velocity.png`` in `folder`.
+
+    Raises
+    ------
+    OutputError, ScenarioError
+        As in `save_all` and `time_series`.
+    """
+    in_plane, position, velocity = _figure(_TRAJECTORIES), _figure(_SERIES), _figure(_SERIES)
+    plane(full, averaged, ax=in_plane.subplots())
+    time_series(full, averaged, path, fig=position)
+    velocity_series(full, averaged, path, fig=velocity)
     figures = {
-        folder / "trajectories.png": _figure(_TRAJECTORIES),
-        folder / "roses.png": _figure(_ROSES),
-        folder / "stranding_times.png": _figure(_TIMES),
+        "member_plane": in_plane,
+        "member_position": position,
+        "member_velocity": velocity,
     }
+    return _save(figures, Path(folder), overwrite)
+
+
+def _save(figures: dict[str, Figure], folder: Path, overwrite: bool) -> list[Path]:
+    """Write figures as PNG files, after all of them are rendered: a failure leaves the folder."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made a folder: {error.strerror}") from None
-    for path in figures:
+    paths = [folder / f"{name}.png" for name in figures]
+    for path in paths:
         check_writable(path, overwrite)
-
-    paths, rose_pair, times = figures.values()
-    trajectories(dataset, ax=paths.subplots())
-    roses(dataset, fig=rose_pair)
-    stranding_times(dataset, ax=times.subplots())
-    # All are rendered before the first is written: one that fails leaves the folder as it was.
-    images = {path: BytesIO() for path in figures}
-    for path, figure in figures.items():
-        figure.savefig(images[path], dpi=_DPI, format="png")
-    for path, image in images.items():
+    images = [BytesIO() for _ in figures]
+    for figure, image in zip(figures.values(), images, strict=True):
+        figure.savefig(image, dpi=_DPI, format="png")
+    for path, image in zip(paths, images, strict=True):
         with replacing(path, overwrite) as unfinished:
             unfinished.write_bytes(image.getvalue())
-    return list(figures)
+    return paths
 
 
 @contextmanager

@@ -149,7 +149,7 @@ class EnsembleConfiguration(Configuration):
     keep: Annotated[int, Field(ge=0)] = Field(
         default=1000, description="members whose trajectories are kept, from the first on"
     )
-    outputs_per_tide: PositiveFloat = Field(default=4, description="positions kept per tide")
+    outputs_per_tide: PositiveFloat = Field(default=8, description="positions kept per tide")
 
     @model_validator(mode="after")
     def _order_exists(self) -> EnsembleConfiguration:

@@ -228,7 +228,10 @@ mod tests {
     fn first_crossing_is_the_first() -> Result<(), DriftError> {
         let circle = Coast::circle(Vec2::zeros(), 1.0, Side::Outside)?;
         let crossing = circle.first_crossing(&Passage { offset: 0.6 }, 0.1)?;
-        assert!(crossing.is_some_and(|(t, x)| (t - 1.2).abs() < 1e-14 && (x.norm() - 1.0).abs() < 1e-14));
+        assert!(
+            crossing
+                .is_some_and(|(t, x)| (t - 1.2).abs() < 1e-14 && (x.norm() - 1.0).abs() < 1e-14)
+        );
         assert!(circle.first_crossing(&Passage { offset: 1.001 }, 0.1)?.is_none());
         let grazing = circle.first_crossing(&Passage { offset: 0.9999 }, 0.1)?;
         assert!(grazing.is_some_and(|(t, _)| t < 2.0));

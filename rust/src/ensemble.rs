@@ -1,5 +1,6 @@
 //! Monte Carlo: many members, each followed under its own wind, in parallel.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -144,13 +145,42 @@ pub fn member(scenario: &Scenario, wind: &WindPath, solver: &Solver, times: &[f6
     Member { status, stranding, positions, failure }
 }
 
-/// Follows the members of a range, in the order of their indices, each under the wind that
-/// (seed, member) names. Members below `keep` record their positions at `times`.
+/// Wind of any member of an ensemble.
+pub enum Winds<'a> {
+    /// Drawn by a generator, named by (seed, member).
+    Drawn {
+        /// The generator.
+        generator: &'a WindGenerator,
+        /// The seed.
+        seed: u64,
+    },
+    /// Given, one for each member.
+    Given(&'a [&'a WindPath]),
+}
+
+impl Winds<'_> {
+    fn path(
+        &self,
+        member: u64,
+        end: f64,
+        sampling: Sampling,
+    ) -> Result<Cow<'_, WindPath>, DriftError> {
+        match self {
+            Self::Drawn { generator, seed } => {
+                generator.path(*seed, member, end, sampling).map(Cow::Owned)
+            }
+            Self::Given(paths) => (paths.get(member as usize).map(|path| Cow::Borrowed(*path)))
+                .ok_or_else(|| DriftError::invalid("member", member, "it has no wind path")),
+        }
+    }
+}
+
+/// Follows the members of a range, in the order of their indices, each under its own wind.
+/// Members below `keep` record their positions at `times`.
 pub fn run(
     scenario: &Scenario,
-    wind: &WindGenerator,
+    winds: &Winds,
     solver: &Solver,
-    seed: u64,
     members: std::ops::Range<u64>,
     times: &[f64],
     keep: u64,
@@ -162,7 +192,7 @@ pub fn run(
     let (_, end) = solver.wind_needed(scenario.duration, scenario.sea.period());
     members
         .into_par_iter()
-        .map(|index| match wind.path(seed, index, end, sampling) {
+        .map(|index| match winds.path(index, end, sampling) {
             Ok(path) => {
                 let times = if index < keep { times } else { &[] };
                 member(scenario, &path, solver, times)

@@ -48,11 +48,7 @@ pub enum DriftError {
 
 impl DriftError {
     /// An [`DriftError::Invalid`] from anything printable.
-    pub fn invalid(
-        field: &'static str,
-        value: impl ToString,
-        accepted: impl Into<String>,
-    ) -> Self {
+    pub fn invalid(field: &'static str, value: impl ToString, accepted: impl Into<String>) -> Self {
         Self::Invalid { field, value: value.to_string(), accepted: accepted.into() }
     }
 }

@@ -9,7 +9,7 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::coast::{Coast as CoreCoast, Side};
-use crate::ensemble::{self, Member};
+use crate::ensemble::{self, Member, Winds};
 use crate::error::DriftError;
 use crate::field::academic::{AcademicSea, SeparableCurrent};
 use crate::field::gridded::{Axis, GriddedSea};
@@ -48,10 +48,7 @@ fn flat(array: &PyReadonlyArray2<f64>) -> Vec<f64> {
     array.as_array().iter().copied().collect()
 }
 
-fn indices(
-    name: &'static str,
-    array: &PyReadonlyArray1<i64>,
-) -> Result<Vec<usize>, DriftError> {
+fn indices(name: &'static str, array: &PyReadonlyArray1<i64>) -> Result<Vec<usize>, DriftError> {
     (array.as_array().iter())
         .map(|value| {
             usize::try_from(*value)
@@ -61,10 +58,7 @@ fn indices(
 }
 
 /// (n, 2) array from points.
-fn columns<'py>(
-    py: Python<'py>,
-    points: &[Vec2],
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+fn columns<'py>(py: Python<'py>, points: &[Vec2]) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let values: Vec<f64> = points.iter().flat_map(|x| [x.x, x.y]).collect();
     values.into_pyarray(py).reshape([points.len(), 2])
 }
@@ -264,7 +258,9 @@ struct Sea(std::sync::Arc<dyn SeaField>);
 /// (mean, modulation, cycles, phase, axis) and sine amplitudes of a separable current.
 type Current<'py> = ((f64, f64, f64, f64, usize), PyReadonlyArray2<'py, f64>);
 
-fn separable(((mean, modulation, cycles, phase, axis), sines): &Current) -> PyResult<SeparableCurrent> {
+fn separable(
+    ((mean, modulation, cycles, phase, axis), sines): &Current,
+) -> PyResult<SeparableCurrent> {
     Ok(SeparableCurrent {
         mean: *mean,
         modulation: *modulation,
@@ -284,7 +280,8 @@ impl Sea {
         residual: Current,
         residual_scale: f64,
     ) -> PyResult<Self> {
-        let sea = AcademicSea::new(period, separable(&tide)?, separable(&residual)?, residual_scale)?;
+        let sea =
+            AcademicSea::new(period, separable(&tide)?, separable(&residual)?, residual_scale)?;
         Ok(Self(std::sync::Arc::new(sea)))
     }
 
@@ -405,7 +402,6 @@ impl Scenario {
     }
 
     /// Position, velocity and (empty where the model has none) slow position and velocity.
-    #[expect(clippy::type_complexity, reason = "four arrays")]
     fn trajectory<'py>(
         &self,
         py: Python<'py>,
@@ -424,8 +420,7 @@ impl Scenario {
         ])
     }
 
-    /// Status, stranding time and position, positions of the kept members, first failure.
-    #[expect(clippy::type_complexity, reason = "four arrays and a message")]
+    /// Members `first` to `first + count` under winds drawn for (seed, member).
     #[expect(clippy::too_many_arguments, reason = "what names a run")]
     fn run<'py>(
         &self,
@@ -438,42 +433,78 @@ impl Scenario {
         times: PyReadonlyArray1<f64>,
         keep: u64,
         threads: usize,
-    ) -> PyResult<(
-        Bound<'py, PyArray1<i8>>,
-        Bound<'py, PyArray1<f64>>,
-        Bound<'py, PyArray2<f64>>,
-        Bound<'py, PyArray3<f64>>,
-        Option<String>,
-    )> {
+    ) -> PyResult<Outcome<'py>> {
+        let winds = Winds::Drawn { generator: &wind.0, seed };
+        self.followed(py, &winds, solver, first..first + count, &times, keep, threads)
+    }
+
+    /// Members `first` to `first + count` under the paths of those indices.
+    #[expect(clippy::too_many_arguments, reason = "what names a run")]
+    fn run_under<'py>(
+        &self,
+        py: Python<'py>,
+        paths: Vec<Py<WindPath>>,
+        solver: &Solver,
+        first: u64,
+        count: u64,
+        times: PyReadonlyArray1<f64>,
+        keep: u64,
+        threads: usize,
+    ) -> PyResult<Outcome<'py>> {
+        let paths: Vec<&CorePath> = paths.iter().map(|path| &path.get().0).collect();
+        let winds = Winds::Given(&paths);
+        self.followed(py, &winds, solver, first..first + count, &times, keep, threads)
+    }
+}
+
+/// Status, stranding time and position, positions of the kept members, first failure.
+type Outcome<'py> = (
+    Bound<'py, PyArray1<i8>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Option<String>,
+);
+
+impl Scenario {
+    #[expect(clippy::too_many_arguments, reason = "what names a run")]
+    fn followed<'py>(
+        &self,
+        py: Python<'py>,
+        winds: &Winds,
+        solver: &Solver,
+        members: std::ops::Range<u64>,
+        times: &PyReadonlyArray1<f64>,
+        keep: u64,
+        threads: usize,
+    ) -> PyResult<Outcome<'py>> {
         let times = times.as_array().to_vec();
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        let mut members: Vec<Member> = Vec::new();
-        let mut at = first;
-        while at < first + count {
-            let batch = at..(at + BATCH).min(first + count);
+        let kept = keep.saturating_sub(members.start).min(members.end - members.start) as usize;
+        let mut followed: Vec<Member> = Vec::new();
+        let mut at = members.start;
+        while at < members.end {
+            let batch = at..(at + BATCH).min(members.end);
             at = batch.end;
-            members.extend(py.detach(|| {
-                pool.install(|| {
-                    ensemble::run(&self.0, &wind.0, &solver.0, seed, batch, &times, keep)
-                })
+            followed.extend(py.detach(|| {
+                pool.install(|| ensemble::run(&self.0, winds, &solver.0, batch, &times, keep))
             }));
             py.check_signals()?;
         }
         let nowhere = Vec2::repeat(f64::NAN);
-        let status: Vec<i8> = members.iter().map(|member| member.status as i8).collect();
+        let status: Vec<i8> = followed.iter().map(|member| member.status as i8).collect();
         let (stranding_times, places): (Vec<f64>, Vec<Vec2>) =
-            members.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
-        let kept = keep.saturating_sub(first).min(count) as usize;
+            followed.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
         let mut positions = Vec::with_capacity(kept * times.len());
-        for member in &members[..kept] {
+        for member in &followed[..kept] {
             positions.extend(&member.positions);
             positions.extend(vec![nowhere; times.len() - member.positions.len()]);
         }
         let failure =
-            members.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
+            followed.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
         Ok((
             status.into_pyarray(py),
             stranding_times.into_pyarray(py),

@@ -31,10 +31,8 @@ impl SeparableCurrent {
     }
 
     fn velocity(&self, t: f64, omega_t: f64, x: Vec2) -> Vec2 {
-        let wave: Vec2 = super::phasors(omega_t)
-            .zip(&self.sines)
-            .map(|(phasor, s)| s * phasor.im)
-            .sum();
+        let wave: Vec2 =
+            super::phasors(omega_t).zip(&self.sines).map(|(phasor, s)| s * phasor.im).sum();
         wave * (self.strength(t).0 * x[self.axis])
     }
 

@@ -4,6 +4,7 @@
 //! coefficients are continuous where order 2 needs them; and a spline lies within the convex hull
 //! of its coefficients, which gives the bounds of [`SeaField::bounds`] without sampling.
 
+use nalgebra::Matrix2;
 use num_complex::Complex64;
 
 use super::{FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase, phasors};
@@ -47,7 +48,8 @@ impl Axis {
     }
 
     fn contains(&self, at: f64) -> bool {
-        self.count == 1 || (0.0..=(self.count - 1) as f64).contains(&((at - self.start) / self.step))
+        self.count == 1
+            || (0.0..=(self.count - 1) as f64).contains(&((at - self.start) / self.step))
     }
 
     /// Cell of `at` and the place inside it, 0…1; beyond the axis the end cells are continued.
@@ -160,8 +162,7 @@ impl GriddedSea {
     }
 
     fn bounds_at_nodes(&self) -> Vec<FieldBounds> {
-        let (nt, ny, nx) =
-            (self.time.coefficients(), self.y.coefficients(), self.x.coefficients());
+        let (nt, ny, nx) = (self.time.coefficients(), self.y.coefficients(), self.x.coefficients());
         let tide = ..2 * self.tide_harmonics;
         let size = |channels: &[Complex64]| -> f64 {
             channels.chunks_exact(2).map(|c| (c[0].norm_sqr() + c[1].norm_sqr()).sqrt()).sum()
@@ -208,9 +209,8 @@ impl GriddedSea {
         let (wx, wy, wt) = (width(&self.x), width(&self.y), width(&self.time));
         (0..wt).flat_map(move |k| {
             (0..wy).flat_map(move |j| {
-                (0..wx).map(move |i| {
-                    ((i, j, k), self.node(st.first + k, sy.first + j, sx.first + i))
-                })
+                (0..wx)
+                    .map(move |i| ((i, j, k), self.node(st.first + k, sy.first + j, sx.first + i)))
             })
         })
     }
@@ -251,21 +251,21 @@ impl SeaField for GriddedSea {
             let slope = [sx.slope[i] * sy.value[j] * at, sx.value[i] * sy.slope[j] * at];
             let rate = sx.value[i] * sy.value[j] * st.slope[k];
             let cross = sx.slope[i] * sy.slope[j] * at;
-            let curvature = [
-                [sx.curvature[i] * sy.value[j] * at, cross],
-                [cross, sx.value[i] * sy.curvature[j] * at],
-            ];
+            let curvature = Matrix2::new(
+                sx.curvature[i] * sy.value[j] * at,
+                cross,
+                cross,
+                sx.value[i] * sy.curvature[j] * at,
+            );
             let harmonics = out.tide.iter_mut().chain(out.residual.iter_mut());
             for (pair, harmonic) in node.chunks_exact(2).zip(harmonics) {
                 for (component, c) in pair.iter().enumerate() {
                     harmonic.amplitude[component] += c * value;
                     harmonic.rate[component] += c * rate;
-                    for a in 0..2 {
-                        harmonic.gradient[(component, a)] += c * slope[a];
-                        for b in 0..2 {
-                            harmonic.hessian[component][(a, b)] += c * curvature[a][b];
-                        }
+                    for (a, slope) in slope.iter().enumerate() {
+                        harmonic.gradient[(component, a)] += c * slope;
                     }
+                    harmonic.hessian[component] += curvature.map(|weight| c * weight);
                 }
             }
         }
@@ -321,7 +321,8 @@ mod tests {
             let (ahead, behind) = (at(t, x + shift)?, at(t, x - shift)?);
             for j in 0..2 {
                 for c in 0..2 {
-                    let slope = (ahead.tide[j].amplitude[c] - behind.tide[j].amplitude[c]) / (2.0 * d);
+                    let slope =
+                        (ahead.tide[j].amplitude[c] - behind.tide[j].amplitude[c]) / (2.0 * d);
                     assert!((slope - here.tide[j].gradient[(c, a)]).norm() < 1e-8);
                     for b in 0..2 {
                         let curvature = (ahead.tide[j].gradient[(c, b)]

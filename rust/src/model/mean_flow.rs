@@ -11,9 +11,7 @@ use super::{
 };
 use crate::dopri5::{Step, Work, integrate};
 use crate::error::DriftError;
-use crate::field::{
-    CMat2, CVec2, Harmonics, Vec2, complex, conj, in_phase, phasors, real, scaled,
-};
+use crate::field::{CMat2, CVec2, Harmonics, Vec2, complex, conj, in_phase, phasors, real, scaled};
 
 /// Longest step in tide periods: about two synoptic steps of the wind.
 const MAX_STEP: f64 = 1.0;
@@ -99,8 +97,9 @@ fn second_drift(at: &Harmonics, first: &[CVec2], second: &[CVec2]) -> Vec2 {
             }
         }
         for component in 0..2 {
-            let sum: Complex64 =
-                (tide.hessian[component].iter().zip(square.iter())).map(|(h, s)| h * s.conj()).sum();
+            let sum: Complex64 = (tide.hessian[component].iter().zip(square.iter()))
+                .map(|(h, s)| h * s.conj())
+                .sum();
             drift[component] += 0.25 * sum.re;
         }
     }
@@ -136,7 +135,10 @@ impl MeanFlow<'_> {
                 return Ok(y);
             }
         }
-        Err(DriftError::Integration { t: 0.0, reason: "the slow initial position did not converge" })
+        Err(DriftError::Integration {
+            t: 0.0,
+            reason: "the slow initial position did not converge",
+        })
     }
 
     /// Bound of `|a₁ + a₂|`, and of its rate of change, in a ball where `|Y'| ≤ speed`.

@@ -8,7 +8,9 @@ use std::ops::ControlFlow;
 
 use nalgebra::SVector;
 
-use super::{OnPiece, Piece, Problem, Reach, Solver, antiderivative, excursion, harmonics, stokes_drift};
+use super::{
+    OnPiece, Piece, Problem, Reach, Solver, antiderivative, excursion, harmonics, stokes_drift,
+};
 use crate::dopri5::{Options, Step, Work, integrate};
 use crate::error::{DriftError, positive};
 use crate::field::{CVec2, Harmonics, Vec2, complex, in_phase, phasors, real, scaled};
@@ -43,9 +45,8 @@ impl Stroboscopic<'_> {
     /// `∫ T·B_W` from `a` to `b`, both in tide `n`.
     fn wind_action_integral(&self, n: f64, a: f64, b: f64) -> Vec2 {
         let (wind, start) = (self.problem.wind, n * self.problem.sea.period());
-        let direct = wind.double_integral(b)
-            - wind.double_integral(a)
-            - wind.integral(start) * (b - a);
+        let direct =
+            wind.double_integral(b) - wind.double_integral(a) - wind.integral(start) * (b - a);
         // ∫ (s − start) F(s + c) ds by parts.
         let ramp = |c: f64| {
             wind.double_integral(b + c) * (b - start)

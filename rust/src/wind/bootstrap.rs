@@ -25,6 +25,8 @@ pub const MAX_ORDER: usize = 8;
 const MAX_DIMENSION: usize = 2 * MAX_ORDER;
 /// Square of the ratio of the proposal's bandwidth to the kernel's.
 const WIDENING: f64 = 2.0;
+/// Rows around the expected state among which a closer centre is looked for.
+const SEARCHED: usize = 32;
 /// Most rows that a proposal table lists one by one.
 const MAX_LISTED: usize = 256;
 /// Where the log of the acceptance bound exceeds this, or after so many trials, all rows are
@@ -113,6 +115,8 @@ pub struct Bootstrap {
     centers: Vec<f64>,
     proposals: Vec<Proposal>,
     starts: Vec<Vec<usize>>,
+    /// For each catalogue row, the catalogue row just before it in the record, if there is one.
+    predecessors: Vec<Option<usize>>,
 }
 
 impl Bootstrap {
@@ -162,7 +166,11 @@ impl Bootstrap {
             }
         }
         if let Some(bad) = catalogue.phase.iter().find(|phase| **phase >= phases) {
-            return Err(DriftError::invalid("phase", bad, format!("the cycle has {phases} phases")));
+            return Err(DriftError::invalid(
+                "phase",
+                bad,
+                format!("the cycle has {phases} phases"),
+            ));
         }
         if n >= TAIL as usize || catalogue.row.windows(2).any(|pair| pair[0] >= pair[1]) {
             return Err(DriftError::invalid("row", n, "rows must increase, fewer than 2³² − 1"));
@@ -174,8 +182,12 @@ impl Bootstrap {
         if starts.iter().all(Vec::is_empty) {
             return Err(DriftError::invalid("start", "no row", "at least one row must be a start"));
         }
+        let predecessors = (0..n)
+            .map(|i| i.checked_sub(1).filter(|j| catalogue.row[*j] + 1 == catalogue.row[i]))
+            .collect();
         let mut bootstrap = Self {
             catalogue,
+            predecessors,
             whitened: Vec::with_capacity(n * d),
             columns: Vec::with_capacity(n * d),
             centers: Vec::with_capacity(n * d),
@@ -193,8 +205,7 @@ impl Bootstrap {
         for k in 0..d {
             bootstrap.columns.extend(bootstrap.whitened.iter().skip(k).step_by(d));
         }
-        bootstrap.proposals =
-            (0..n).into_par_iter().map(|i| bootstrap.proposal(i)).collect();
+        bootstrap.proposals = (0..n).into_par_iter().map(|i| bootstrap.proposal(i)).collect();
         Ok(bootstrap)
     }
 
@@ -314,18 +325,29 @@ impl Bootstrap {
         }
         let i = (rng.random::<f64>() * self.catalogue.row.len() as f64) as usize;
         let distance2 = self.distance2(self.center(near), i);
-        let kept = ((cut.0 - distance2) / (2.0 * WIDENING * self.catalogue.bandwidth.powi(2))).exp();
+        let kept =
+            ((cut.0 - distance2) / (2.0 * WIDENING * self.catalogue.bandwidth.powi(2))).exp();
         let listed = closer(&(distance2, i), cut).is_le();
         (!listed && rng.random::<f64>() < kept).then_some((i, distance2))
+    }
+
+    /// The centre closest to `z` among that of `near` and those that are rows around it, with the
+    /// squared distance: the closer the centre, the fewer trials.
+    fn closest_center(&self, near: usize, z: &State) -> (usize, f64) {
+        let shift = |j: usize| self.center(j).iter().zip(z).map(|(a, b)| (a - b) * (a - b)).sum();
+        let around = self.proposals[near].slots.iter().take(SEARCHED);
+        let centers =
+            around.filter_map(|slot| self.predecessors.get(slot.own as usize)?.to_owned());
+        centers.map(|j| (j, shift(j))).fold((near, shift(near)), |best, candidate| {
+            if candidate.1 < best.1 { candidate } else { best }
+        })
     }
 
     /// Draws a row with weight `exp(−|z − z_i|²/2h²)`; `near` is the row drawn last, if any.
     fn draw<R: Rng>(&self, z: &State, near: Option<usize>, rng: &mut R) -> usize {
         let variance = self.catalogue.bandwidth.powi(2);
         let d = self.dimension();
-        if let Some(near) = near {
-            let center = self.center(near);
-            let shift: f64 = center.iter().zip(z).map(|(a, b)| (a - b) * (a - b)).sum();
+        if let Some((near, shift)) = near.map(|near| self.closest_center(near, z)) {
             let log_bound = shift / (2.0 * (WIDENING - 1.0) * variance);
             if log_bound <= MAX_LOG_BOUND {
                 for _ in 0..MAX_TRIALS {
@@ -368,7 +390,7 @@ impl Bootstrap {
         Ok(Chain {
             state: self.state(chosen),
             predecessor,
-            near: chosen.checked_sub(1).filter(|i| self.catalogue.row[*i] == predecessor),
+            near: self.predecessors[chosen],
             phase: self.catalogue.phase[chosen],
         })
     }
@@ -430,8 +452,7 @@ fn alias_table(entries: &[(f64, u32)]) -> Vec<Slot> {
     let mut share: Vec<f64> = entries.iter().map(|(w, _)| w / total * n as f64).collect();
     let mut slots: Vec<Slot> =
         entries.iter().map(|(_, id)| Slot { threshold: 1.0, own: *id, other: *id }).collect();
-    let (mut small, mut large): (Vec<usize>, Vec<usize>) =
-        (0..n).partition(|i| share[*i] < 1.0);
+    let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| share[*i] < 1.0);
     while let (Some(s), Some(l)) = (small.pop(), large.last().copied()) {
         slots[s].threshold = share[s];
         slots[s].other = slots[l].own;

@@ -117,9 +117,11 @@ impl WindGenerator {
                 Sampling::Fine => {
                     inside.clear();
                     self.small_scale.fill(fast, (fast_next, fast_integral), &mut fine, &mut inside);
-                    velocity.extend(inside.iter().enumerate().map(|(k, w)| {
-                        w + slow.lerp(&slow_next, (k + 1) as f64 / substeps as f64)
-                    }));
+                    velocity.extend(
+                        inside.iter().enumerate().map(|(k, w)| {
+                            w + slow.lerp(&slow_next, (k + 1) as f64 / substeps as f64)
+                        }),
+                    );
                 }
             }
             (slow, fast) = (slow_next, fast_next);

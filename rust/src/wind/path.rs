@@ -80,11 +80,7 @@ impl WindPath {
         path.integrals.push([Vec2::zeros(); 3]);
         for i in 0..path.times.len() - 1 {
             let h = path.times[i + 1] - path.times[i];
-            path.integrals.push([
-                path.single(i, h),
-                path.double(i, h),
-                path.triple(i, h),
-            ]);
+            path.integrals.push([path.single(i, h), path.double(i, h), path.triple(i, h)]);
         }
         path
     }
@@ -255,7 +251,10 @@ mod tests {
         assert!(WindPath::new(vec![0.0, 1.0], w(3)).is_err());
         assert!(WindPath::new(vec![0.0, 1.0, 1.0], w(3)).is_err());
         assert!(WindPath::new(vec![0.0, f64::NAN], w(2)).is_err());
-        assert!(WindPath::new(vec![0.0, 1.0], vec![Vec2::zeros(), Vec2::new(f64::INFINITY, 0.0)]).is_err());
+        assert!(
+            WindPath::new(vec![0.0, 1.0], vec![Vec2::zeros(), Vec2::new(f64::INFINITY, 0.0)])
+                .is_err()
+        );
         assert!(irregular().is_ok_and(|path| path.require(0.0, 1.3).is_err()));
     }
 }

@@ -106,10 +106,7 @@ fn normals<R: Rng>(rng: &mut R) -> Vec2 {
 fn moments(a: f64, sigma: f64, step: f64, n: usize) -> (Vector2<f64>, Matrix2<f64>) {
     let n = n as i32;
     let (an, a2n) = (a.powi(n), a.powi(2 * n));
-    let mean = Vector2::new(
-        an,
-        step * (0.5 + a * (1.0 - a.powi(n - 1)) / (1.0 - a) + an / 2.0),
-    );
+    let mean = Vector2::new(an, step * (0.5 + a * (1.0 - a.powi(n - 1)) / (1.0 - a) + an / 2.0));
     let alpha = 1.0 / (1.0 - a);
     let beta = alpha - 0.5;
     let (p, q) = ((1.0 - an) / (1.0 - a), (1.0 - a2n) / (1.0 - a * a));
@@ -123,18 +120,11 @@ fn moments(a: f64, sigma: f64, step: f64, n: usize) -> (Vector2<f64>, Matrix2<f6
 }
 
 /// Regression of each interior fine knot on (value, integral), given the value now.
-fn gains(
-    a: f64,
-    sigma: f64,
-    step: f64,
-    n: usize,
-    covariance: Matrix2<f64>,
-) -> Vec<Vector2<f64>> {
+fn gains(a: f64, sigma: f64, step: f64, n: usize, covariance: Matrix2<f64>) -> Vec<Vector2<f64>> {
     let Some(precision) = covariance.try_inverse() else {
         return vec![Vector2::zeros(); n - 1];
     };
-    let variance =
-        |k: usize| sigma * sigma * (1.0 - a.powi(2 * k as i32)) / (1.0 - a * a);
+    let variance = |k: usize| sigma * sigma * (1.0 - a.powi(2 * k as i32)) / (1.0 - a * a);
     let covariance_of = |k: usize, m: usize| a.powi(k.abs_diff(m) as i32) * variance(k.min(m));
     (1..n)
         .map(|k| {
