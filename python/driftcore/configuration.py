@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 import difflib
+import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Any, Self
 
+import numpy as np
 import tomlkit
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from tomlkit.items import Table
 
 from driftcore.errors import ScenarioError
 
+# What stands in TOML, which has no null, where a default is switched off.
+NOTHING = "none"
+# Between the sentences of one error: no value holds it, for values are shown by their repr.
+_SEPARATOR = ";\n"
+# The validator's words for what TOML calls otherwise.
+_WORDS = (
+    ("Input ", "it "),
+    ("Tuple ", "it "),
+    (" after validation", ""),
+    ("valid tuple", "list"),
+    ("valid dictionary", "table"),
+)
+
 
 class Configuration(BaseModel):
-    """Base of every configuration: frozen, no unknown keys, no NaN.
+    """Base of every configuration: frozen, no unknown keys, no NaN, no text for a number.
 
     Raises
     ------
@@ -23,14 +39,25 @@ class Configuration(BaseModel):
     """
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True
+        frozen=True,
+        strict=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
     )
 
-    def __init__(self, **values: Any) -> None:
+    def __init__(self, /, **values: Any) -> None:
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise ScenarioError("; ".join(_sentences(type(self), error))) from None
+            raise ScenarioError(_SEPARATOR.join(_sentences(type(self), error))) from None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _strict_types(cls, values: Any) -> Any:
+        if not isinstance(values, dict):
+            return values
+        return {name: _strict(value) for name, value in values.items()}
 
     def replace(self, **changes: Any) -> Self:
         """Give a copy with some fields changed, validated anew."""
@@ -47,19 +74,21 @@ class Configuration(BaseModel):
         """
         import tomllib
 
-        name = "TOML text"
+        name = "TOML text (a file is named by a Path)"
         text = source
         if isinstance(source, Path):
             name = str(source)
             try:
-                text = source.read_text(encoding="utf-8")
+                text = source.read_text(encoding="utf-8-sig")
             except FileNotFoundError:
                 raise ScenarioError(f"{source}: no such file") from None
-            except (OSError, UnicodeDecodeError) as error:
-                raise ScenarioError(f"{source}: cannot be read: {error}") from None
+            except OSError as error:
+                raise ScenarioError(f"{source}: cannot be read: {error.strerror}") from None
+            except UnicodeDecodeError as error:
+                raise ScenarioError(f"{source}: is not UTF-8 text: {error}") from None
         try:
             values = tomllib.loads(str(text))
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise ScenarioError(f"{name}: not valid TOML: {error}") from None
         return cls(**values)
 
@@ -67,7 +96,7 @@ class Configuration(BaseModel):
         """Write as TOML, each field with its description as a comment."""
         document = tomlkit.document()
         _fill(document, self)
-        return tomlkit.dumps(document)
+        return tomlkit.dumps(document).lstrip()
 
 
 def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> None:
@@ -79,7 +108,7 @@ def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> 
         if isinstance(value, Configuration):
             nested.append((name, value, comment))
             continue
-        if value is None:
+        if value is None and field.default is None:
             table.add(tomlkit.comment(f"{name} =   # {comment}"))
             continue
         try:
@@ -100,38 +129,53 @@ def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> 
 
 
 def _plain(value: Any) -> Any:
+    if value is None:
+        return NOTHING
     return [_plain(part) for part in value] if isinstance(value, tuple) else value
 
 
-def _sentences(model: type[BaseModel], error: ValidationError) -> list[str]:
-    sentences = []
-    for problem in error.errors():
-        where = ".".join(str(part) for part in problem["loc"])
-        cause = problem.get("ctx", {}).get("error")
+def _strict(value: Any) -> Any:
+    """Make lists tuples and NumPy's numbers Python's, as strict validation asks for."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, list | tuple | np.ndarray):
+        return tuple(_strict(part) for part in value)
+    return value
+
+
+def _sentences(model: type[BaseModel], error: ValidationError) -> Iterator[str]:
+    problems = error.errors()
+    for problem in problems:
+        kind, location, context = problem["type"], problem["loc"], problem.get("ctx", {})
+        where = _where(model, location)
+        cause = context.get("error")
         if isinstance(cause, ScenarioError):
-            # An inner configuration has told its own sentence; put the path before it.
-            sentences.append(f"{where}.{cause}" if where else str(cause))
-        elif problem["type"] == "extra_forbidden":
-            known = _fields_at(model, problem["loc"][:-1])
-            close = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
+            # An inner configuration has told its own sentences; put the path before them.
+            yield from (f"{where}.{sentence}" for sentence in str(cause).split(_SEPARATOR))
+        elif cause is not None:
+            yield f"{where}: {cause}" if where else str(cause)
+        elif kind == "missing":
+            yield f"{where}: is missing"
+        elif kind == "extra_forbidden":
+            known = list(model.model_fields)
+            close = difflib.get_close_matches(where, known, n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known)}"
-            sentences.append(f"{where}: unknown key; {hint}")
+            yield f"{where}: unknown key; {hint}"
+        elif kind == "union_tag_invalid":
+            known = context["expected_tags"].replace(", ", " or ")
+            yield f"{where}.kind: {context['tag']!r} is not accepted; it should be {known}"
+        elif kind == "too_short" and any(
+            p["loc"][: len(location)] == location for p in problems if len(p["loc"]) > len(location)
+        ):
+            continue  # only because another sentence refuses its parts
         else:
-            sentences.append(
-                f"{where}: {_shown(problem['input'])} is not accepted; {_reason(problem['msg'])}"
-            )
-    return sentences
+            yield f"{where}: {_shown(problem['input'])} is not accepted; {_reason(problem['msg'])}"
 
 
-def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    for part in path:
-        field = model.model_fields.get(str(part))
-        choices = [] if field is None else [field.annotation, *get_args(field.annotation)]
-        inner = [c for c in choices if isinstance(c, type) and issubclass(c, BaseModel)]
-        if not inner:
-            continue
-        model = inner[0]
-    return list(model.model_fields)
+def _where(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
+    """Path as a user writes it: without the tag that follows a union, which is no key."""
+    tagged = location and getattr(model.model_fields.get(str(location[0])), "discriminator", None)
+    return ".".join(str(part) for k, part in enumerate(location) if not (tagged and k == 1))
 
 
 def _shown(value: Any) -> str:
@@ -140,5 +184,9 @@ def _shown(value: Any) -> str:
 
 
 def _reason(message: str) -> str:
-    message = message.removeprefix("Value error, ").removeprefix("Input ")
-    return f"it {message}" if message.startswith("should") else message
+    """Tell a message of the validator in the words of TOML."""
+    message = re.sub(r" or (instance of \w+|object to extract fields from)$", "", message)
+    message = message.removesuffix(", unable to parse string as a number")
+    for theirs, ours in _WORDS:
+        message = message.replace(theirs, ours)
+    return message

@@ -60,6 +60,7 @@ def trajectory(
     formulation: Literal["A", "B"] = "B",
     rtol: float = 1e-8,
     atol: float | None = None,
+    euler_step: float | None = None,
 ) -> xr.Dataset:
     """Follow one body under a given wind, whatever coast there is.
 
@@ -85,12 +86,15 @@ def trajectory(
         Exact rewrite that `"full"` integrates.
     rtol, atol : float
         Tolerances of the adaptive integration; `atol` [scenario units] defaults to `rtol`.
+    euler_step : float, optional
+        Integrate by explicit Euler steps of this length [scenario time] instead: to compare only.
 
     Returns
     -------
     xarray.Dataset
         `position`, `velocity` of shape (time, component) in scenario units; the averaged models
-        also give `mean_position` and `mean_velocity`, without the tidal oscillation.
+        also give `mean_position` and `mean_velocity`, without the tidal oscillation. Attributes
+        `steps`, `rejected_steps` and `evaluations` (of the right-hand side) tell the work.
 
     Raises
     ------
@@ -100,17 +104,25 @@ def trajectory(
         The integration failed.
     """
     instants = _output_times(times, scenario.duration)
-    order, solver = _solver(scenario, model, order, window, wind_terms, formulation, rtol, atol)
+    order, solver = _solver(
+        scenario, model, order, window, wind_terms, formulation, rtol, atol, euler_step
+    )
     compiled = _compiled(scenario)
     try:
-        arrays = compiled.trajectory(path.core, solver, instants)
+        arrays, work = compiled.trajectory(path.core, solver, instants)
     except ValueError as error:
         raise ScenarioError(str(error)) from None
     except RuntimeError as error:
         raise DriftCoreError(str(error)) from None
     names = ("position", "velocity", "mean_position", "mean_velocity")
     found = {name: a for name, a in zip(names, arrays, strict=True) if len(a) == len(instants)}
-    attributes: dict[str, Any] = {"model": model, "rtol": rtol, **provenance("trajectory")}
+    steps = zip(("steps", "rejected_steps", "evaluations"), work, strict=True)
+    attributes: dict[str, Any] = {
+        "model": model,
+        "rtol": rtol,
+        **dict(steps),
+        **provenance("trajectory"),
+    }
     if order is not None:
         attributes["order"] = order
     if model == "paper":
@@ -462,7 +474,7 @@ def member_path(
 
     It covers the run and what any averaging window up to four tides wide needs around it.
     """
-    solver = _core.Solver.paper(1, 4 * scenario.period, True, 1e-8, 1e-8)
+    solver = _core.Solver.paper(1, 4 * scenario.period, True, 1e-8, 1e-8, None)
     generator, _ = _generator(scenario, wind, solver)
     end = solver.wind_needed(scenario.duration, scenario.period)[1]
     member = _count("member", member, least=0)
@@ -583,14 +595,15 @@ def _solver(
     formulation: str,
     rtol: float,
     atol: float | None,
+    euler_step: float | None = None,
 ) -> tuple[int | None, _core.Solver]:
     try:
         order = check_order(model, order)
     except ValueError as error:
         raise ScenarioError(str(error)) from None
     atol = rtol if atol is None else atol
-    for field, value in (("rtol", rtol), ("atol", atol)):
-        if not (math.isfinite(value) and value > 0):
+    for field, value in (("rtol", rtol), ("atol", atol), ("euler_step", euler_step)):
+        if value is not None and not (math.isfinite(value) and value > 0):
             raise ScenarioError(f"{field}: {value} is not accepted; it must be above 0")
     if window is not None and not (math.isfinite(window) and window > 0):
         raise ScenarioError(f"window: {window} is not accepted; it must be above 0")
@@ -599,12 +612,12 @@ def _solver(
     if formulation not in ("A", "B"):
         raise ScenarioError(f'formulation: {formulation!r} is not accepted; "A" or "B"')
     if model == "full":
-        return order, _core.Solver.full(formulation == "A", rtol, atol)
+        return order, _core.Solver.full(formulation == "A", rtol, atol, euler_step)
     assert order is not None  # noqa: S101 (for the type checker: both models below have a default)
     if model == "mean-flow":
-        return order, _core.Solver.mean_flow(order, rtol, atol)
+        return order, _core.Solver.mean_flow(order, rtol, atol, euler_step)
     window = scenario.period / 2 if window is None else window
-    return order, _core.Solver.paper(order, window, wind_terms, rtol, atol)
+    return order, _core.Solver.paper(order, window, wind_terms, rtol, atol, euler_step)
 
 
 def _checked_paths(

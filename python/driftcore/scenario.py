@@ -6,11 +6,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
-from driftcore.configuration import Configuration
+from driftcore.configuration import NOTHING, Configuration
 from driftcore.sea import AcademicSea, HarmonicSea, Pair
 
 ModelName = Literal["full", "paper", "mean-flow"]
 Side = Literal["inside", "outside"]
+
+# A century, of semidiurnal tides or of days.
+_LONGEST_TIDES = 70_000
+_LONGEST_DAYS = 36_525
+# 16 GB of them.
+_MOST_POSITIONS = 10**9
 
 
 def check_order(model: str, order: int | None) -> int | None:
@@ -74,14 +80,41 @@ class Scenario(Configuration):
     sea: Annotated[AcademicSea | HarmonicSea, Field(description="m = M + epsilon N")] = (
         AcademicSea()
     )
-    coast: Annotated[Circle | Polygons, Field(discriminator="kind")] | None = Field(
-        default=Circle(), description="where the body may strand"
+    coast: Circle | Polygons | None = Field(
+        default=Circle(),
+        discriminator="kind",
+        description=f'where the body may strand; coast = "{NOTHING}": nowhere',
     )
 
     @field_validator("sea", mode="before")
     @classmethod
     def _sea_from_table(cls, value: Any) -> Any:
-        return AcademicSea(**value) if isinstance(value, dict) else value
+        if isinstance(value, dict):
+            return AcademicSea(**value)
+        if not isinstance(value, AcademicSea | HarmonicSea):
+            raise ValueError(
+                f"{value!r} is not accepted; it should be a table, or a sea given in Python"
+            )
+        return value
+
+    @field_validator("coast", mode="before")
+    @classmethod
+    def _coast_from_table(cls, value: Any) -> Any:
+        if isinstance(value, dict):
+            return {"kind": "circle", **value}
+        return None if value == NOTHING else value
+
+    @model_validator(mode="after")
+    def _run_is_finite(self) -> Scenario:
+        """Refuse what no computer follows: most likely a unit or a power of ten is wrong."""
+        tides = self.duration / self.epsilon
+        if tides > _LONGEST_TIDES or self.duration_days > _LONGEST_DAYS:
+            raise ValueError(
+                f"epsilon: {self.epsilon} is not accepted; with duration = {self.duration} and "
+                f"tide_period_h = {self.tide_period_h} the run would last {tides:.3g} tides, "
+                f"{self.duration_days:.3g} days; at most {_LONGEST_TIDES} and {_LONGEST_DAYS}"
+            )
+        return self
 
     @property
     def period(self) -> float:
@@ -131,7 +164,9 @@ class WindConfiguration(Configuration):
 class EnsembleConfiguration(Configuration):
     """How the members are followed, and what is kept of them."""
 
-    members: Annotated[int, Field(ge=1)] = Field(default=1000, description="number of winds drawn")
+    members: Annotated[int, Field(ge=1, le=10**8)] = Field(
+        default=1000, description="number of winds drawn"
+    )
     seed: Annotated[int, Field(ge=0, lt=2**64)] = Field(
         default=1, description="names the winds drawn"
     )
@@ -163,3 +198,16 @@ class RunConfiguration(Configuration):
     scenario: Scenario = Field(default=Scenario())
     wind: WindConfiguration = Field(default=WindConfiguration())
     ensemble: EnsembleConfiguration = Field(default=EnsembleConfiguration())
+
+    @model_validator(mode="after")
+    def _fits_memory(self) -> RunConfiguration:
+        ensemble = self.ensemble
+        tides = self.scenario.duration / self.scenario.epsilon
+        kept = min(ensemble.keep, ensemble.members) * ensemble.outputs_per_tide * tides
+        if kept > _MOST_POSITIONS:
+            raise ValueError(
+                f"ensemble.keep: {ensemble.keep} is not accepted; with outputs_per_tide = "
+                f"{ensemble.outputs_per_tide} the run would keep {kept:.3g} positions; "
+                f"at most {_MOST_POSITIONS:.0e}"
+            )
+        return self

@@ -29,8 +29,9 @@ enum Shape {
     Polygons { segments: RTree<Line<[f64; 2]>>, east: f64 },
 }
 
-/// Shortest stretch of time between two looks at the coast, as a share of the tide period: a
-/// contact shorter than this, less than 3e-5 of a tide's path deep, may be passed over.
+/// Shortest stretch of time between two looks at the coast, as a share of the tide period `T`. At
+/// a tidal speed `v`, a contact shorter than this and less than `5e-5·vT` deep may be passed over:
+/// equations.md (7).
 const RESOLUTION: f64 = 1.0 / 128.0;
 
 impl Coast {

@@ -120,6 +120,38 @@ impl<const N: usize> Step<N> {
     }
 }
 
+/// Steps from `t0` to `t1` by the explicit Euler method, as many equal ones as bring them to
+/// `step` or below: what the paper counts, for comparison.
+pub fn euler<const N: usize>(
+    mut rhs: impl FnMut(f64, &SVector<f64, N>) -> Result<SVector<f64, N>, DriftError>,
+    (t0, t1): (f64, f64),
+    y0: SVector<f64, N>,
+    step: f64,
+    mut on_step: impl FnMut(&Step<N>) -> Result<ControlFlow<()>, DriftError>,
+) -> Result<Work, DriftError> {
+    let count = ((t1 - t0) / positive("euler_step", step)? - 1e-9).ceil().max(1.0);
+    let h = (t1 - t0) / count;
+    let mut y = y0;
+    let mut work = Work::default();
+    for k in 0..count as usize {
+        let t = t0 + k as f64 * h;
+        let change = rhs(t, &y)? * h;
+        let y_end = y + change;
+        if y_end.iter().any(|value| !value.is_finite()) {
+            return Err(DriftError::Integration { t, reason: "the state is not finite" });
+        }
+        let zero = SVector::zeros();
+        work.accepted += 1;
+        work.evaluations += 1;
+        let flow = on_step(&Step { t, h, y, y_end, powers: [change, zero, zero, zero] })?;
+        y = y_end;
+        if flow.is_break() {
+            break;
+        }
+    }
+    Ok(work)
+}
+
 /// Work done by an integration.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {

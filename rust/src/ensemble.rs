@@ -7,6 +7,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::coast::Coast;
+use crate::dopri5::Work;
 use crate::error::DriftError;
 use crate::field::{SeaField, Vec2};
 use crate::model::{Model, Piece, Problem, Solver};
@@ -78,6 +79,8 @@ pub struct Trajectory {
     pub velocity: Vec<Vec2>,
     /// Slow position and velocity, empty where the model has none.
     pub mean: Vec<(Vec2, Vec2)>,
+    /// What the integration took.
+    pub work: Work,
 }
 
 /// Calls `visit` for each output time that the piece covers, up to `until`.
@@ -105,7 +108,7 @@ pub fn trajectory(
 ) -> Result<Trajectory, DriftError> {
     let mut next = 0;
     let mut out = Trajectory::default();
-    solver.follow(scenario.problem(wind), &mut |piece| {
+    let work = solver.follow(scenario.problem(wind), &mut |piece| {
         outputs(piece, times, &mut next, f64::INFINITY, |t| {
             out.position.push(piece.position(t)?);
             out.velocity.push(piece.velocity(t)?);
@@ -114,7 +117,7 @@ pub fn trajectory(
         })?;
         Ok(ControlFlow::Continue(()))
     })?;
-    Ok(out)
+    Ok(Trajectory { work, ..out })
 }
 
 /// Follows one body until it strands; what goes wrong on the way becomes its status.

@@ -352,19 +352,31 @@ struct Solver(CoreSolver);
 #[pymethods]
 impl Solver {
     #[staticmethod]
-    fn full(general: bool, rtol: f64, atol: f64) -> Self {
+    fn full(general: bool, rtol: f64, atol: f64, euler_step: Option<f64>) -> Self {
         let formulation = if general { Formulation::A } else { Formulation::B };
-        Self(CoreSolver { model: Model::Full(formulation), rtol, atol })
+        Self(CoreSolver { model: Model::Full(formulation), rtol, atol, euler_step })
     }
 
     #[staticmethod]
-    fn paper(order: u8, window: f64, wind_terms: bool, rtol: f64, atol: f64) -> Self {
-        Self(CoreSolver { model: Model::Paper { order, window, wind_terms }, rtol, atol })
+    fn paper(
+        order: u8,
+        window: f64,
+        wind_terms: bool,
+        rtol: f64,
+        atol: f64,
+        euler_step: Option<f64>,
+    ) -> Self {
+        Self(CoreSolver {
+            model: Model::Paper { order, window, wind_terms },
+            rtol,
+            atol,
+            euler_step,
+        })
     }
 
     #[staticmethod]
-    fn mean_flow(order: u8, rtol: f64, atol: f64) -> Self {
-        Self(CoreSolver { model: Model::MeanFlow { order }, rtol, atol })
+    fn mean_flow(order: u8, rtol: f64, atol: f64, euler_step: Option<f64>) -> Self {
+        Self(CoreSolver { model: Model::MeanFlow { order }, rtol, atol, euler_step })
     }
 
     /// Interval of time that a wind path must cover.
@@ -401,23 +413,25 @@ impl Scenario {
         }))
     }
 
-    /// Position, velocity and (empty where the model has none) slow position and velocity.
+    /// Position, velocity and (empty where the model has none) slow position and velocity; steps
+    /// accepted, rejected, and evaluations of the right-hand side.
     fn trajectory<'py>(
         &self,
         py: Python<'py>,
         wind: &WindPath,
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
-    ) -> PyResult<[Bound<'py, PyArray2<f64>>; 4]> {
+    ) -> PyResult<([Bound<'py, PyArray2<f64>>; 4], [usize; 3])> {
         let times = times.as_array().to_vec();
         let out = py.detach(|| ensemble::trajectory(&self.0, &wind.0, &solver.0, &times))?;
         let (mean_position, mean_velocity): (Vec<_>, Vec<_>) = out.mean.into_iter().unzip();
-        Ok([
+        let arrays = [
             columns(py, &out.position)?,
             columns(py, &out.velocity)?,
             columns(py, &mean_position)?,
             columns(py, &mean_velocity)?,
-        ])
+        ];
+        Ok((arrays, [out.work.accepted, out.work.rejected, out.work.evaluations]))
     }
 
     /// Members `first` to `first + count` under winds drawn for (seed, member).

@@ -5,7 +5,7 @@ use num_complex::Complex64;
 use super::{CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2};
 use crate::error::{DriftError, positive};
 
-/// `x_k · (mean + modulation · wave(2π·cycles·t/duration)) · Σ_j s_j sin(jωt)`: one of the two
+/// `x_k · (mean + modulation · wave(2π·cycles·t)) · Σ_j s_j sin(jωt)`: one of the two
 /// parts of the academic sea, paper section 4.1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeparableCurrent {

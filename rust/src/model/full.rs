@@ -1,6 +1,6 @@
 //! The full system, exactly rewritten so that no derivative of the sea is needed.
 //!
-//! With `U = V − m` the paper's (2.10)–(2.11) become rewrite A, `X' = m + U`,
+//! With `U = V − m` the paper's (2.8)–(2.9) become rewrite A, `X' = m + U`,
 //! `U' = Λ(W − m − U)`; with `Q = U + ΛX`, rewrite B, `Q' = ΛW`, `X' = m + Q − ΛX`. The wind's
 //! integrals are known exactly, so the integrator works on `P = X − Λ∫S`, whose third derivative is
 //! continuous however rough the wind: equations.md (4)–(6).
@@ -8,7 +8,7 @@
 use nalgebra::{SVector, Vector4};
 
 use super::{Formulation, OnPiece, Piece, Problem, Reach, Solver, WindIntegrals};
-use crate::dopri5::{Step, Work, integrate};
+use crate::dopri5::{Step, Work};
 use crate::error::DriftError;
 use crate::field::Vec2;
 
@@ -74,26 +74,27 @@ pub fn follow(
     problem.wind.require(0.0, problem.duration)?;
     let wind = WindIntegrals::new(problem.wind);
     let invariant = problem.invariant()?;
-    let options = solver.options(MAX_STEP * problem.sea.period());
+    let max_step = MAX_STEP * problem.sea.period();
     let Problem { sea, drag, duration, position, .. } = problem;
     let span = (0.0, duration);
     let problem = &problem;
-    let (work, _) = match formulation {
-        Formulation::B => integrate(
+    match formulation {
+        Formulation::B => solver.integrate(
             |t, p: &Vec2| {
                 let x = p + wind.at(t).1 * drag;
                 Ok(sea.velocity(t, x)? + invariant - x * drag)
             },
             span,
             position,
-            options,
+            max_step,
+            &mut None,
             |step| on_piece(&FullPiece { problem, wind: &wind, step, invariant }),
-        )?,
+        ),
         Formulation::A => {
             // State (P, U − ΛS): the wind's rough part is taken out of both.
             let relative = invariant - position * drag;
             let start = Vector4::new(position.x, position.y, relative.x, relative.y);
-            integrate(
+            solver.integrate(
                 |t, state: &Vector4<f64>| {
                     let (single, double) = wind.at(t);
                     let relative = Vec2::new(state[2], state[3]);
@@ -103,10 +104,10 @@ pub fn follow(
                 },
                 span,
                 start,
-                options,
+                max_step,
+                &mut None,
                 |step| on_piece(&FullPiece { problem, wind: &wind, step, invariant }),
-            )?
+            )
         }
-    };
-    Ok(work)
+    }
 }

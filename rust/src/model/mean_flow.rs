@@ -9,7 +9,7 @@ use super::{
     OnPiece, Piece, Problem, Reach, Solver, WindIntegrals, antiderivative, excursion, harmonics,
     stokes_drift,
 };
-use crate::dopri5::{Step, Work, integrate};
+use crate::dopri5::{Step, Work};
 use crate::error::DriftError;
 use crate::field::{CMat2, CVec2, Harmonics, Vec2, complex, conj, in_phase, phasors, real, scaled};
 
@@ -154,7 +154,8 @@ impl MeanFlow<'_> {
         let slow = (bounds.rate + bounds.gradient * forcing) / omega;
         let second =
             ((bounds.gradient + self.problem.drag) * first + bounds.residual + slow) / omega;
-        // Its highest harmonic is twice the tide's; a factor of two more covers the slow change.
+        // `ω·second` bounds the fast rate, since 1/l is in each amplitude; the factor covers the
+        // slow change and what f₂ adds to the forcing, both a further order smaller.
         (first + second, first_rate + 8.0 * omega * second)
     }
 }
@@ -222,7 +223,7 @@ pub fn follow(
         order,
         invariant: problem.invariant()?,
     };
-    let (work, _) = integrate(
+    solver.integrate(
         |t, p: &Vec2| {
             let (single, double) = flow.wind.at(t);
             let (expansion, forcing) = flow.expansion(t, p + double * problem.drag, single)?;
@@ -230,8 +231,8 @@ pub fn follow(
         },
         (0.0, problem.duration),
         flow.start()?,
-        solver.options(MAX_STEP * problem.sea.period()),
+        MAX_STEP * problem.sea.period(),
+        &mut None,
         |step| on_piece(&MeanFlowPiece { flow: &flow, step }),
-    )?;
-    Ok(work)
+    )
 }

@@ -10,9 +10,10 @@ pub mod paper;
 
 use std::ops::ControlFlow;
 
+use nalgebra::SVector;
 use num_complex::Complex64;
 
-use crate::dopri5::{Options, Work};
+use crate::dopri5::{Options, Step, Work, euler, integrate};
 use crate::error::DriftError;
 use crate::field::{CVec2, Harmonic, Harmonics, SeaField, Vec2, conj, real, scaled};
 use crate::wind::path::WindPath;
@@ -88,7 +89,7 @@ pub trait Piece {
     fn velocity(&self, t: f64) -> Result<Vec2, DriftError>;
     /// Slow position and velocity, where the model has them.
     fn mean(&self, t: f64) -> Result<Option<(Vec2, Vec2)>, DriftError>;
-    /// Where the piece can be: provable, so that a coast beyond it need not be looked for.
+    /// Where the piece can be: a bound, so that a coast beyond it need not be looked for.
     fn reach(&self) -> Reach;
 }
 
@@ -134,6 +135,8 @@ pub struct Solver {
     pub rtol: f64,
     /// Absolute tolerance [length and velocity].
     pub atol: f64,
+    /// Step of the explicit Euler method [time], to compare; Dormand–Prince if none is given.
+    pub euler_step: Option<f64>,
 }
 
 impl Solver {
@@ -152,15 +155,32 @@ impl Solver {
     pub fn wind_needed(&self, duration: f64, period: f64) -> (f64, f64) {
         match self.model {
             Model::Full(_) | Model::MeanFlow { .. } => (0.0, duration),
-            Model::Paper { window, wind_terms, .. } => {
-                let tide = if wind_terms { period } else { 0.0 };
+            Model::Paper { order, window, wind_terms } => {
+                let tide = if wind_terms && order == 1 { period } else { 0.0 };
                 (-tide - window / 2.0, duration + tide / 2.0 + window / 2.0)
             }
         }
     }
 
-    fn options(&self, max_step: f64) -> Options {
-        Options { rtol: self.rtol, atol: self.atol, max_step, first_step: None }
+    /// Integrates by the method chosen; `first_step` goes in as a proposal and comes out as the
+    /// next one.
+    fn integrate<const N: usize>(
+        &self,
+        rhs: impl FnMut(f64, &SVector<f64, N>) -> Result<SVector<f64, N>, DriftError>,
+        span: (f64, f64),
+        start: SVector<f64, N>,
+        max_step: f64,
+        first_step: &mut Option<f64>,
+        on_step: impl FnMut(&Step<N>) -> Result<ControlFlow<()>, DriftError>,
+    ) -> Result<Work, DriftError> {
+        if let Some(step) = self.euler_step {
+            return euler(rhs, span, start, step, on_step);
+        }
+        let options =
+            Options { rtol: self.rtol, atol: self.atol, max_step, first_step: *first_step };
+        let (work, next) = integrate(rhs, span, start, options, on_step)?;
+        *first_step = Some(next);
+        Ok(work)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The paper's averaged system: stroboscopic expansion of orders 0 and 1, (3.6)–(3.11) with the
+//! The paper's averaged system: stroboscopic expansion of orders 0 and 1, (3.4)–(3.11) with the
 //! misprints corrected, for any drag rate: equations.md (14)–(17).
 //!
 //! `X = Y⁰ + y₁ + a(θ)`, where `a = ∫₀^θ M` vanishes at the start of each tide and `y₁ = εY¹`,
@@ -11,7 +11,7 @@ use nalgebra::SVector;
 use super::{
     OnPiece, Piece, Problem, Reach, Solver, antiderivative, excursion, harmonics, stokes_drift,
 };
-use crate::dopri5::{Options, Step, Work, integrate};
+use crate::dopri5::{Step, Work};
 use crate::error::{DriftError, positive};
 use crate::field::{CVec2, Harmonics, Vec2, complex, in_phase, phasors, real, scaled};
 
@@ -212,7 +212,6 @@ pub fn follow(
         state[i] = problem.position[i];
         state[2 + i] = slow_velocity[i];
     }
-    let options = solver.options(MAX_STEP * period);
     let mut work = Work::default();
     let mut first_step = None;
     let mut stopped = false;
@@ -224,11 +223,12 @@ pub fn follow(
         } else {
             problem.duration
         };
-        let (done, next) = integrate(
+        let done = solver.integrate(
             |t, state| model.rates(n, t, state),
             (t, end),
             state,
-            Options { first_step, ..options },
+            MAX_STEP * period,
+            &mut first_step,
             |step| {
                 state = step.y_end;
                 let flow = on_piece(&PaperPiece { model: &model, step })?;
@@ -239,7 +239,6 @@ pub fn follow(
         work.accepted += done.accepted;
         work.rejected += done.rejected;
         work.evaluations += done.evaluations;
-        first_step = Some(next);
         (t, n) = (end, n + 1.0);
     }
     Ok(work)

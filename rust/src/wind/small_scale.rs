@@ -1,5 +1,5 @@
 //! The small-scale wind: an AR(1) process, sampled coarsely and exactly in law first, then filled
-//! in by conditional sampling where a model needs its path. WIND.md of the method: docs/equations.md (22)–(24).
+//! in by conditional sampling where a model needs its path: docs/equations.md (22)–(24).
 
 use nalgebra::{Matrix2, Vector2};
 use rand::Rng;
