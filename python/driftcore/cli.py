@@ -21,25 +21,59 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from typer.core import TyperGroup
 
-from driftcore.errors import DriftCoreError, DriftCoreWarning, OutputError
+from driftcore import __version__
+from driftcore.errors import DriftCoreError, DriftCoreWarning
 
 if TYPE_CHECKING:
     from driftcore.forecast import Forecast
 
-app = typer.Typer(
-    help="Where will something adrift on the sea be, weeks to months ahead? "
-    "Probabilities, from many simulated winds.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
+
+
+class Commands(TyperGroup):
+    """Says what an interruption left, which typer would pass over in silence."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            err.print("interrupted; nothing was written")
+            raise typer.Exit(130) from None
+
+
+app = typer.Typer(
+    cls=Commands,
+    help="Where will something adrift on the sea be, weeks to months ahead?\n\n"
+    "Probabilities, from many simulated winds. To begin: `driftcore demo`.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads; default all processors.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
+
+
+def _say_version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"driftcore {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def about(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version, and stop.", callback=_say_version),
+    ] = False,
+) -> None:
+    """Hold the options that stand before a command."""
 
 
 @app.command(rich_help_panel="Forecast")
@@ -48,7 +82,9 @@ def demo(
         Path, typer.Option("--output", "-o", help="Folder for the NetCDF file and the figures.")
     ] = Path("driftcore-demo"),
     members: Annotated[int, typer.Option(help="Number of simulated winds.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Names the winds drawn.")] = 1,
+    seed: Annotated[
+        int, typer.Option(help="Names the winds: the same seed, the same forecast.")
+    ] = 1,
     print_scenario: Annotated[
         bool,
         typer.Option("--print-scenario", help="Print the scenario file of the demo, and stop."),
@@ -69,26 +105,26 @@ def demo(
     if print_scenario:
         sys.stdout.write(configuration.to_toml())
         return
-    from driftcore.files import check_writable
+    from driftcore import plot as figures
+    from driftcore.files import filling
+    from driftcore.forecast import member_trajectories
 
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be made a folder: {error.strerror}") from None
-    path = output / "demo.nc"
-    check_writable(path, overwrite)
-    forecast = _run(configuration, Path(), threads, quiet)
-    forecast.to_netcdf(path, overwrite)
-    written = [path, *_plots(forecast, output, overwrite)]
-    written += _member_plots(forecast, output, overwrite)
+    with filling(output, overwrite, expected="demo.nc") as folder:
+        forecast = _run(configuration, Path(), threads, quiet)
+        forecast.to_netcdf(folder / "demo.nc")
+        written = [
+            folder / "demo.nc",
+            *figures.save_all(forecast.dataset, folder),
+            *figures.save_member(*member_trajectories(forecast), folder),
+        ]
     if not quiet:
         _summary(forecast)
-        _say_written(written)
+        _say_written([output / path.name for path in written])
 
 
 @app.command(rich_help_panel="Forecast")
 def run(
-    scenario: Annotated[Path, typer.Argument(help="Scenario file (TOML).")],
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")],
     output: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write.")],
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -99,15 +135,17 @@ def run(
 ) -> None:
     """Run the forecast that a scenario file describes.
 
-    `driftcore demo --print-scenario > my.toml` gives a file to start from, with every number of
-    the paper's case. Relative paths in it start at the folder it lies in.
+    To start from the paper's case, with every number explained:
+    `driftcore demo --print-scenario > my.toml`. A relative path of a wind record starts at the
+    folder of the scenario file.
     """
     from driftcore.files import check_writable
     from driftcore.scenario import RunConfiguration
 
     configuration = RunConfiguration.from_toml(scenario)
     check_writable(output, overwrite)
-    forecast = _run(configuration, scenario.parent, threads, quiet or as_json)
+    # The forecast records its wind by this path: absolute, it can be run again from anywhere.
+    forecast = _run(configuration, scenario.parent.resolve(), threads, quiet or as_json)
     forecast.to_netcdf(output, overwrite)
     if as_json:
         sys.stdout.write(json.dumps(_result(forecast)) + "\n")
@@ -118,18 +156,27 @@ def run(
 
 @app.command(rich_help_panel="Results")
 def plot(
-    forecast: Annotated[Path, typer.Argument(help="Forecast file (NetCDF).")],
+    forecast: Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast file (NetCDF).")],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Folder for the figures; default that of the file."),
     ] = None,
     overwrite: Overwrite = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Do not list the files written.")
+    ] = False,
 ) -> None:
     """Draw the figures of a forecast: trajectories, roses, stranding times."""
+    from driftcore import plot as figures
+    from driftcore.files import filling
     from driftcore.forecast import open_forecast
 
-    folder = forecast.parent if output is None else output
-    _say_written(_plots(open_forecast(forecast), folder, overwrite))
+    dataset = open_forecast(forecast).dataset
+    target = forecast.parent if output is None else output
+    with filling(target, overwrite) as folder:
+        written = figures.save_all(dataset, folder)
+    if not quiet:
+        _say_written([target / path.name for path in written])
 
 
 @app.command(rich_help_panel="Results")
@@ -172,7 +219,7 @@ def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> 
         TextColumn("members"),
         TimeRemainingColumn(),
         console=err,
-        disable=quiet,
+        disable=quiet or not err.is_terminal,
         transient=True,
     )
     with bar:
@@ -184,28 +231,16 @@ def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> 
         return run_configuration(configuration, folder=folder, threads=threads, progress=progress)
 
 
-def _plots(forecast: Forecast, folder: Path, overwrite: bool) -> list[Path]:
-    from driftcore import plot as figures
-
-    return figures.save_all(forecast.dataset, folder, overwrite)
-
-
-def _member_plots(forecast: Forecast, folder: Path, overwrite: bool) -> list[Path]:
-    from driftcore import plot as figures
-    from driftcore.forecast import member_trajectories
-
-    return figures.save_member(*member_trajectories(forecast), folder, overwrite)
-
-
 def _result(forecast: Forecast) -> dict[str, Any]:
-    p = forecast.stranding_probability()
+    # Without a member that could be followed there is no probability.
+    p = forecast.stranding_probability() if forecast.followed else None
     quantiles = forecast.stranding_time_quantiles().values
     attributes = forecast.dataset.attrs
     return {
-        "stranding_probability": p.estimate,
-        "low": p.low,
-        "high": p.high,
-        "level": p.level,
+        "stranding_probability": p and p.estimate,
+        "low": p and p.low,
+        "high": p and p.high,
+        "level": p and p.level,
         **forecast.counts,
         "stranding_time_quantiles": {
             str(q): None if t != t else float(t)
@@ -223,17 +258,18 @@ def _summary(forecast: Forecast) -> None:
     days_per_unit = attributes["tide_period_h"] / attributes["epsilon"] / 24
     order = f", order {attributes['order']}" if "order" in attributes else ""
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    table.add_row("wind", attributes["wind_label"])
+    table.add_row("wind", escape(attributes["wind_label"]))
     table.add_row("model", f"{result['model']}{order}, seed {result['seed']}")
     table.add_row(
         "run",
         f"{attributes['members']} members, {attributes['duration'] * days_per_unit:.1f} days",
     )
-    table.add_row(
-        "strands",
-        f"[bold]{result['stranding_probability']:.3f}[/]  "
-        f"(95 % interval {result['low']:.3f} to {result['high']:.3f})",
-    )
+    if forecast.followed:
+        table.add_row(
+            "strands",
+            f"[bold]{result['stranding_probability']:.3f}[/]  "
+            f"({result['level'] * 100:.0f} % interval {result['low']:.3f} to {result['high']:.3f})",
+        )
     early, middle, late = result["stranding_time_quantiles"].values()
     if middle is not None:
         table.add_row(
@@ -244,7 +280,7 @@ def _summary(forecast: Forecast) -> None:
         sectors = forecast.stranding_by_sector(8)["probability"].values
         names = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
         ranked = sorted(zip(sectors, names, strict=True), reverse=True)[:3]
-        table.add_row("where", ", ".join(f"{name} {share:.3f}" for share, name in ranked))
+        table.add_row("where", ", ".join(f"{name} {share:.3f}" for share, name in ranked if share))
     for name in ("left_domain", "failed"):
         if result[name]:
             table.add_row(name.replace("_", " "), f"{result[name]} members")
@@ -253,7 +289,11 @@ def _summary(forecast: Forecast) -> None:
 
 def _say_written(paths: list[Path]) -> None:
     for path in paths:
-        out.print(f"wrote {path}", soft_wrap=True)
+        out.print(f"wrote {escape(str(path))}", soft_wrap=True)
+
+
+def _say(colour: str, kind: str, message: str) -> None:
+    err.print(f"[{colour}]{kind}:[/] {escape(message)}", soft_wrap=True)
 
 
 @contextmanager
@@ -264,7 +304,7 @@ def _spoken_warnings() -> Iterator[None]:
 
         def show(message: Any, category: Any, *rest: Any, **more: Any) -> None:
             if issubclass(category, DriftCoreWarning):
-                err.print(f"[yellow]warning:[/] {escape(str(message))}", soft_wrap=True)
+                _say("yellow", "warning", str(message))
             else:
                 plain(message, category, *rest, **more)
 
@@ -277,10 +317,11 @@ def main() -> None:
     """Entry point: exit code 2 and one line for what the user can mend, 130 when interrupted."""
     try:
         with _spoken_warnings():
-            app()
+            app(prog_name="driftcore")
     except DriftCoreError as error:
-        err.print(f"[red]error:[/] {escape(str(error))}", soft_wrap=True)
+        # Messages of the libraries beneath may hold line breaks.
+        _say("red", "error", " ".join(str(error).split()))
         sys.exit(2)
-    except KeyboardInterrupt:
-        err.print("interrupted; nothing was written")
-        sys.exit(130)
+    except MemoryError:
+        _say("red", "error", "out of memory; fewer members, or fewer of them kept, need less")
+        sys.exit(2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from driftcore.scenario import Scenario
 
 STATUSES = ("afloat", "stranded", "left_domain", "failed")
+# Bytes that a NetCDF file holds besides its values, generously.
+_FILE_OVERHEAD = 10**6
 _TIME = {
     "long_name": "time since the release, in units of the run",
     "units": "1",
@@ -148,6 +151,10 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
         name: {"zlib": True, "complevel": 4} for name, v in dataset.items() if v.ndim > 1
     }
     with replacing(path, overwrite) as temporary:
+        # The HDF5 library brings the process down when the disk fills up under it.
+        needed, free = dataset.nbytes + _FILE_OVERHEAD, shutil.disk_usage(temporary.parent).free
+        if free < needed:
+            raise OSError(f"it needs up to {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free")
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
 
 
@@ -166,9 +173,11 @@ def read_netcdf(path: Path) -> xr.Dataset:
     try:
         with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
             loaded = dataset.load()
-    except (OSError, ValueError) as error:
+    except Exception as error:
+        # The HDF5 library answers a damaged file with whatever the damage leads it to.
         raise OutputError(f"{path}: is not a NetCDF-4 file that can be read: {error}") from None
-    missing = {"status", "stranding_time", "stranding_position"} - set(loaded.variables)
-    if missing or "configuration" not in loaded.attrs:
-        raise OutputError(f"{path}: is not a driftcore forecast (no {', '.join(sorted(missing))})")
+    expected = ("status", "stranding_time", "stranding_position", "configuration")
+    missing = [name for name in expected if name not in {*loaded.variables, *loaded.attrs}]
+    if missing:
+        raise OutputError(f"{path}: is not a driftcore forecast (no {', '.join(missing)})")
     return loaded

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -57,3 +58,44 @@ def replacing(path: Path, overwrite: bool) -> Iterator[Path]:
         raise OutputError(f"{path}: cannot be written: {error}") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def filling(folder: Path, overwrite: bool, expected: str | None = None) -> Iterator[Path]:
+    """Give a temporary folder whose files move into `folder` when the block succeeds.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if absent, with its parents, but not before there is something to move.
+    overwrite : bool
+        Replace files that are there.
+    expected : str, optional
+        Name of a file to come, so that one already there is met before the block's work.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be made or written, or a file is there and may not be replaced; nothing
+        is left behind then.
+    """
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
+    if expected is not None and nearest == folder:
+        check_writable(folder / expected, overwrite)
+    try:
+        temporary = Path(tempfile.mkdtemp(dir=nearest, prefix=".driftcore-"))
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
+    try:
+        yield temporary
+        files = sorted(temporary.iterdir())
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
+        for file in files:
+            check_writable(folder / file.name, overwrite)
+        for file in files:
+            file.replace(folder / file.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

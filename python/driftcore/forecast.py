@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Progress = Callable[[int, int], None]
+Floats = NDArray[np.float64]
 
 # Tides of wind drawn before the release, the same for every model so that a member has one wind:
 # the paper model with a window of 4 tides reaches back 3.
@@ -193,16 +194,20 @@ def forecast(
 
         wind = default_wind()
     order, solver = _solver(scenario, model, order, window, wind_terms, "B", rtol, atol)
-    paths = None
-    if not isinstance(wind, LocalGridBootstrap):
-        paths = _checked_paths(wind, solver, scenario)
-    if paths is not None and members not in (None, len(paths)):
-        raise ScenarioError(f"members: {members} is not accepted; {len(paths)} paths were given")
+    winds: _Resampled | _Given
+    if isinstance(wind, LocalGridBootstrap):
+        winds = _Resampled(scenario, wind, solver, seed)
+        members = 1000 if members is None else members
+    else:
+        winds = _Given(scenario, wind, solver)
+        if members not in (None, len(wind)):
+            raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
+        members = len(wind)
     if times is None:
         times = regular_times(scenario.duration, scenario.period / 8)
     instants = _output_times(times, scenario.duration)
     settings = EnsembleConfiguration(
-        members=_default_members(paths) if members is None else members,
+        members=members,
         seed=seed,
         model=model,
         order=order,
@@ -212,22 +217,16 @@ def forecast(
         keep=keep,
         outputs_per_tide=max(1, len(instants) - 1) * scenario.period / scenario.duration,
     )
-    members, keep = settings.members, min(keep, settings.members)
     threads = _count("threads", _default_threads() if threads is None else threads)
     chunk = _count("chunk", max(1, members // 100) if chunk is None else chunk)
+    keep = min(keep, members)
     compiled = _compiled(scenario)
-    if isinstance(wind, LocalGridBootstrap):
-        generator, wind_times = _generator(scenario, wind, solver)
-        _warn_of_season(scenario, wind)
+    winds.warn()
 
     parts = []
     for first in range(0, members, chunk):
         count = min(chunk, members - first)
-        common = (first, count, instants, keep, threads)
-        if paths is None:
-            parts.append(compiled.run(generator, solver, seed, *common))
-        else:
-            parts.append(compiled.run_under(paths, solver, *common))
+        parts.append(winds.run(compiled, first, count, instants, keep, threads))
         if progress is not None:
             progress(first + count, members)
     status, stranding_time, stranding_position, position = (
@@ -235,19 +234,10 @@ def forecast(
     )
     _warn_of_failures(status, [part[4] for part in parts])
 
-    if isinstance(wind, LocalGridBootstrap):
-        kept_wind, _ = wind.core.sample(keep, len(wind_times), seed)
-        adrift = wind_times >= -1e-12
-        wind_times, kept_wind = wind_times[adrift], kept_wind[:, adrift]
-        wind_settings, about = _wind_configuration(wind), _wind_attributes(wind)
-    else:
-        wind_times = instants
-        kept_wind = np.array([path.velocity(instants) for path in (paths or [])[:keep]])
-        kept_wind = kept_wind.reshape(keep, len(instants), 2) * scenario.wind_unit
-        label = f"{members} wind paths given in Python"
-        wind_settings = WindConfiguration(record=label)
-        about = {"wind_label": label, "wind_synthetic": 0}
-    configuration = RunConfiguration(scenario=scenario, wind=wind_settings, ensemble=settings)
+    wind_times, kept_wind = winds.kept(keep, instants)
+    configuration = RunConfiguration(
+        scenario=scenario, wind=winds.configuration(), ensemble=settings
+    )
     dataset = forecast_dataset(
         scenario,
         status=status,
@@ -263,7 +253,7 @@ def forecast(
             **({} if order is None else {"order": order}),
             "seed": np.uint64(seed),
             "members": members,
-            **about,
+            **winds.attributes(),
             "configuration": configuration.to_toml(),
             **provenance(f"forecast of {members} members"),
         },
@@ -361,7 +351,7 @@ class Forecast:
         values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
         return xr.DataArray(values, {"quantile": list(levels)}, name="stranding_time")
 
-    def _center(self) -> NDArray[np.float64]:
+    def _center(self) -> Floats:
         import json
 
         coast = json.loads(self.dataset.attrs.get("coast", "{}"))
@@ -475,10 +465,9 @@ def member_path(
     It covers the run and what any averaging window up to four tides wide needs around it.
     """
     solver = _core.Solver.paper(1, 4 * scenario.period, True, 1e-8, 1e-8, None)
-    generator, _ = _generator(scenario, wind, solver)
-    end = solver.wind_needed(scenario.duration, scenario.period)[1]
+    winds = _Resampled(scenario, wind, solver, seed)
     member = _count("member", member, least=0)
-    return WindPath(*generator.path(seed, member, end))
+    return WindPath(*winds.generator.path(seed, member, winds.end))
 
 
 def record_paths(scenario: Scenario, record: WindRecord) -> list[WindPath]:
@@ -549,11 +538,12 @@ def member_trajectories(
         wind_terms=settings.wind_terms,
     )
     for dataset in (full, averaged):
-        dataset.attrs.update(_wind_attributes(wind))
+        for name in ("wind_label", "wind_synthetic", "wind_sha256"):
+            dataset.attrs[name] = forecast.dataset.attrs[name]
     return full, averaged, path
 
 
-def regular_times(duration: float, interval: float) -> NDArray[np.float64]:
+def regular_times(duration: float, interval: float) -> Floats:
     """Regular times from 0 to the end of a run, both included, about `interval` apart."""
     return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
 
@@ -620,56 +610,112 @@ def _solver(
     return order, _core.Solver.paper(order, window, wind_terms, rtol, atol, euler_step)
 
 
-def _checked_paths(
-    paths: Sequence[WindPath], solver: _core.Solver, scenario: Scenario
-) -> list[_core.WindPath]:
-    start, end = solver.wind_needed(scenario.duration, scenario.period)
-    slack = 1e-9 * (end - start)
-    if not isinstance(paths, Sequence) or not all(isinstance(p, WindPath) for p in paths):
-        raise ScenarioError(
-            f"wind: {type(paths).__name__} is not accepted; a fitted LocalGridBootstrap, or a list "
-            "of WindPath"
-        )
-    if not paths:
-        raise ScenarioError("wind: the list of paths is empty")
-    for k, path in enumerate(paths):
-        if path.times[0] > start + slack or path.times[-1] < end - slack:
+class _Resampled:
+    """Winds drawn by a fitted bootstrap, named by (seed, member)."""
+
+    def __init__(
+        self, scenario: Scenario, wind: LocalGridBootstrap, solver: _core.Solver, seed: int
+    ) -> None:
+        self.scenario, self.wind, self.solver, self.seed = scenario, wind, solver, seed
+        step = wind.record.step_h / scenario.hours_per_unit
+        substeps = max(1, math.ceil(step / (scenario.period / _FINE_STEPS) - 1e-9))
+        lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
+        start, self.end = solver.wind_needed(scenario.duration, scenario.period)
+        if start < -_LEAD_IN_TIDES * scenario.period * (1 + 1e-9):
             raise ScenarioError(
-                f"wind: path {k} covers [{path.times[0]:g}, {path.times[-1]:g}]; "
-                f"the run needs [{start:g}, {end:g}]"
+                f"window: the simulated wind starts {_LEAD_IN_TIDES} tides before the release, but "
+                f"this window needs it {-start / scenario.period:.3g} tides before; "
+                f"windows up to {4 * scenario.period:g} (4 tides) are accepted"
             )
-    return [path.core for path in paths]
-
-
-def _generator(
-    scenario: Scenario, wind: LocalGridBootstrap, solver: _core.Solver
-) -> tuple[_core.WindGenerator, NDArray[np.float64]]:
-    """Build the wind generator in scenario units, and the times of its synoptic steps."""
-    step = wind.record.step_h / scenario.hours_per_unit
-    substeps = max(1, math.ceil(step / (scenario.period / _FINE_STEPS) - 1e-9))
-    lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
-    start, end = solver.wind_needed(scenario.duration, scenario.period)
-    if start < -_LEAD_IN_TIDES * scenario.period * (1 + 1e-9):
-        raise ScenarioError(
-            f"window: the simulated wind starts {_LEAD_IN_TIDES} tides before the release, but "
-            f"this window needs it {-start / scenario.period:.3g} tides before; "
-            f"windows up to {4 * scenario.period:g} (4 tides) are accepted"
+        self.generator = _core.WindGenerator(
+            wind.core,
+            step,
+            scenario.wind_unit,
+            wind.small_scale_sd / scenario.wind_unit,
+            wind.memory_h / scenario.hours_per_unit,
+            substeps,
+            lead_in,
         )
-    generator = _core.WindGenerator(
-        wind.core,
-        step,
-        scenario.wind_unit,
-        wind.small_scale_sd / scenario.wind_unit,
-        wind.memory_h / scenario.hours_per_unit,
-        substeps,
-        lead_in,
-    )
-    steps = lead_in + max(1, math.ceil(end / step - 1e-9)) + 1
-    times: NDArray[np.float64] = (np.arange(steps) - lead_in) * np.float64(step)
-    return generator, times
+        self.lead_in = lead_in
+        self.times = np.arange(math.ceil(self.end / step - 1e-9) + 1) * np.float64(step)
+
+    def run(self, compiled: _core.Scenario, first: int, count: int, *rest: Any) -> Any:
+        return compiled.run(self.generator, self.solver, self.seed, first, count, *rest)
+
+    def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
+        """Give the synoptic wind [m/s] of the first `keep` members from the release on."""
+        del instants
+        wind, _ = self.wind.core.sample(keep, self.lead_in + len(self.times), self.seed)
+        return self.times, wind[:, self.lead_in :]
+
+    def configuration(self) -> WindConfiguration:
+        known = self.wind.config()
+        if self.wind.record.synthetic:
+            known["record"] = "embedded"
+        else:
+            known["record"] = known.get("source", f"{self.wind.record.label} (given in Python)")
+        fields = WindConfiguration.model_fields
+        return WindConfiguration(**{name: known[name] for name in fields if name in known})
+
+    def attributes(self) -> dict[str, Any]:
+        record = self.wind.record
+        return {
+            "wind_label": record.label,
+            "wind_synthetic": int(record.synthetic),
+            "wind_sha256": record.sha256,
+        }
+
+    def warn(self) -> None:
+        if self.scenario.duration_days > self.wind.span_days:
+            warnings.warn(
+                f"the run lasts {self.scenario.duration_days:.0f} days, the months chosen "
+                f"{self.wind.span_days:.0f}: the simulated season goes on beyond its end",
+                DriftCoreWarning,
+                stacklevel=4,
+            )
 
 
-def _output_times(times: ArrayLike, duration: float) -> NDArray[np.float64]:
+class _Given:
+    """Winds given as paths, one for each member."""
+
+    def __init__(self, scenario: Scenario, paths: Sequence[WindPath], solver: _core.Solver) -> None:
+        if not isinstance(paths, Sequence) or not all(isinstance(p, WindPath) for p in paths):
+            raise ScenarioError(
+                f"wind: {type(paths).__name__} is not accepted; a fitted LocalGridBootstrap, or a "
+                "list of WindPath"
+            )
+        if not paths:
+            raise ScenarioError("wind: the list of paths is empty")
+        start, end = solver.wind_needed(scenario.duration, scenario.period)
+        slack = 1e-9 * (end - start)
+        for k, path in enumerate(paths):
+            if path.times[0] > start + slack or path.times[-1] < end - slack:
+                raise ScenarioError(
+                    f"wind: path {k} covers [{path.times[0]:g}, {path.times[-1]:g}]; "
+                    f"the run needs [{start:g}, {end:g}]"
+                )
+        self.scenario, self.paths, self.solver = scenario, paths, solver
+
+    def run(self, compiled: _core.Scenario, first: int, count: int, *rest: Any) -> Any:
+        paths = [path.core for path in self.paths]
+        return compiled.run_under(paths, self.solver, first, count, *rest)
+
+    def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
+        """Give the wind [m/s] of the first `keep` members at the output times."""
+        wind = np.array([path.core.velocity(instants) for path in self.paths[:keep]])
+        return instants, wind.reshape(keep, len(instants), 2) * self.scenario.wind_unit
+
+    def configuration(self) -> WindConfiguration:
+        return WindConfiguration(record=self.attributes()["wind_label"])
+
+    def attributes(self) -> dict[str, Any]:
+        return {"wind_label": f"{len(self.paths)} wind paths given in Python", "wind_synthetic": 0}
+
+    def warn(self) -> None:
+        """Nothing: no season is simulated."""
+
+
+def _output_times(times: ArrayLike, duration: float) -> Floats:
     instants = np.atleast_1d(np.asarray(times, dtype=float))
     if instants.ndim != 1 or len(instants) == 0 or not np.isfinite(instants).all():
         raise ScenarioError("times: must be one finite number or a list of them")
@@ -689,40 +735,8 @@ def _count(field: str, value: int, least: int = 1) -> int:
     return int(value)
 
 
-def _default_members(paths: list[_core.WindPath] | None) -> int:
-    return 1000 if paths is None else len(paths)
-
-
 def _default_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _wind_configuration(wind: LocalGridBootstrap) -> WindConfiguration:
-    known = wind.config()
-    if wind.record.synthetic:
-        known["record"] = "embedded"
-    else:
-        known["record"] = known.get("source", f"{wind.record.label} (given in Python)")
-    return WindConfiguration(**{k: known[k] for k in WindConfiguration.model_fields if k in known})
-
-
-def _wind_attributes(wind: LocalGridBootstrap) -> dict[str, Any]:
-    record = wind.record
-    return {
-        "wind_label": record.label,
-        "wind_synthetic": int(record.synthetic),
-        "wind_sha256": record.sha256,
-    }
-
-
-def _warn_of_season(scenario: Scenario, wind: LocalGridBootstrap) -> None:
-    if scenario.duration_days > wind.span_days:
-        warnings.warn(
-            f"the run lasts {scenario.duration_days:.0f} days, the months chosen "
-            f"{wind.span_days:.0f}: the simulated season goes on beyond its end",
-            DriftCoreWarning,
-            stacklevel=3,
-        )
 
 
 def _warn_of_failures(status: NDArray[np.int8], messages: list[str | None]) -> None:
