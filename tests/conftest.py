@@ -1,10 +1,12 @@
-"""What the tests share: hypothesis profiles and the real wind record."""
+"""What the tests share: hypothesis profiles, the embedded wind and the real wind record."""
 
 import os
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+import driftcore as dc
 
 settings.register_profile("fast", max_examples=25, deadline=None)
 settings.register_profile("slow", max_examples=200, deadline=None)
@@ -20,3 +22,9 @@ def belle_ile_csv() -> Path:
     if not path.is_file():
         pytest.skip(f"the Belle-Île record is not at {path}")
     return path
+
+
+@pytest.fixture(scope="session")
+def embedded_wind() -> dc.LocalGridBootstrap:
+    """The embedded synthetic climate, fitted."""
+    return dc.paper.default_wind()

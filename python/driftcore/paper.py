@@ -2,19 +2,87 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from driftcore.climate import synthetic_record
 from driftcore.scenario import Circle, Polygons, Scenario, Side
 from driftcore.sea import Pair
-from driftcore.wind import LocalGridBootstrap, WindPath
+from driftcore.wind import LocalGridBootstrap
 
-if TYPE_CHECKING:
-    import xarray as xr
+# Tables 1 and 2 as printed: mean [least, greatest] over 100 winds of the largest error over the run
+# in velocity (orders 0 and 1) and in position (orders 0 and 1). Keys: tides in the run (1/ε), and
+# window p in tides (none: W ≡ 0). The greatest velocity error of order 0 at (100, 4) misses a zero.
+PRINTED: dict[tuple[int, float | None], tuple[str, str, str, str]] = {
+    (50, 0.1): (
+        "0.1115 [0.1115,0.1116]",
+        "0.0460 [0.0454,0.0467]",
+        "0.0174 [0.0173,0.0174]",
+        "0.0023 [0.0021,0.0029]",
+    ),
+    (50, 0.5): (
+        "0.1118 [0.1113,0.1134]",
+        "0.0460 [0.0448,0.0473]",
+        "0.0174 [0.0173,0.0174]",
+        "0.0024 [0.0021,0.0032]",
+    ),
+    (50, 1.0): (
+        "0.1125 [0.1108,0.1168]",
+        "0.0460 [0.0441,0.0488]",
+        "0.0173 [0.0171,0.0174]",
+        "0.0026 [0.0020,0.0047]",
+    ),
+    (50, 4.0): (
+        "0.1192 [0.1102,0.1280]",
+        "0.0542 [0.0438,0.0691]",
+        "0.0174 [0.0166,0.0196]",
+        "0.0065 [0.0024,0.0144]",
+    ),
+    (50, None): ("0.1115", "0.0096", "0.0174", "0.0022"),
+    (100, 0.1): (
+        "0.0557 [0.0557,0.0557]",
+        "0.0292 [0.0270,0.0358]",
+        "0.0086 [0.0085,0.0086]",
+        "0.0011 [0.0011,0.0014]",
+    ),
+    (100, 0.5): (
+        "0.0558 [0.0554,0.0563]",
+        "0.0294 [0.0270,0.0362]",
+        "0.0086 [0.0085,0.0086]",
+        "0.0012 [0.0010,0.0015]",
+    ),
+    (100, 1.0): (
+        "0.0560 [0.0552,0.0574]",
+        "0.0296 [0.0273,0.0363]",
+        "0.0085 [0.0084,0.0086]",
+        "0.0013 [0.0010,0.0020]",
+    ),
+    (100, 4.0): (
+        "0.0595 [0.0552,0.680]",
+        "0.0355 [0.0304,0.0516]",
+        "0.0086 [0.0082,0.0098]",
+        "0.0026 [0.0010,0.0072]",
+    ),
+    (25, 0.1): (
+        "0.2254 [0.2249,0.2257]",
+        "0.1143 [0.1022,0.1418]",
+        "0.0358 [0.0358,0.0359]",
+        "0.0046 [0.0040,0.0057]",
+    ),
+    (25, 0.5): (
+        "0.2254 [0.2226,0.2277]",
+        "0.1142 [0.1017,0.1410]",
+        "0.0358 [0.0357,0.0359]",
+        "0.0045 [0.0039,0.0058]",
+    ),
+    (25, 1.0): (
+        "0.2257 [0.2201,0.2310]",
+        "0.1142 [0.1011,0.1379]",
+        "0.0358 [0.0356,0.0360]",
+        "0.0044 [0.0037,0.0069]",
+    ),
+}
+# Probability of stranding, section 5.
+PRINTED_STRANDING = 0.643
 
 
 def scenario(
@@ -72,75 +140,3 @@ def scenario(
 def default_wind() -> LocalGridBootstrap:
     """Give the embedded synthetic climate, fitted: `driftcore.climate.synthetic_record`."""
     return LocalGridBootstrap.fit(synthetic_record())
-
-
-@dataclass(frozen=True)
-class Check:
-    """A measured error beside the largest that is accepted."""
-
-    name: str
-    measured: float
-    required: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the measured error is small enough."""
-        return self.measured <= self.required
-
-
-def sup_errors(exact: xr.Dataset, approximate: xr.Dataset) -> tuple[float, float]:
-    """Largest distance over the run of (velocity, position) between two trajectories.
-
-    Both of the same times; Euclidean norm, paper section 4.2.
-    """
-    distances = (
-        np.linalg.norm(exact[name].values - approximate[name].values, axis=-1)
-        for name in ("velocity", "position")
-    )
-    velocity, position = (float(distance.max()) for distance in distances)
-    return velocity, position
-
-
-def validation(members: int = 5) -> list[Check]:
-    """Measure the averaged models against the full one.
-
-    Without wind, the stroboscopic expansion; with simulated winds, the mean-flow expansion.
-
-    Parameters
-    ----------
-    members : int
-        Number of winds; the largest error counts.
-    """
-    from driftcore.forecast import member_path, trajectory
-
-    checks = []
-    calm = WindPath([-1.0, 2.0], np.zeros((2, 2)))
-    # Errors of orders 0 and 1 without wind: first and second power of epsilon, docs/validation.md.
-    for period in (25, 50, 100, 200):
-        case = scenario(1 / period)
-        times = np.linspace(0, 1, 40 * period + 1)
-        full = trajectory(case, calm, model="full", times=times, rtol=1e-10)
-        for order, limits in ((0, (5.75, 0.92)), (1, (3.9, 1.85))):
-            averaged = trajectory(case, calm, model="paper", order=order, times=times)
-            for name, error, limit in zip(
-                ("velocity", "position"), sup_errors(full, averaged), limits, strict=True
-            ):
-                label = f"no wind, epsilon 1/{period}, paper order {order}, {name}"
-                checks.append(Check(label, error, limit / period ** (order + 1)))
-    wind = default_wind()
-    for period in (25, 50, 100):
-        case = scenario(1 / period)
-        times = np.linspace(0, 1, 40 * period + 1)
-        paths = [member_path(case, wind, member) for member in range(members)]
-        fulls = [trajectory(case, p, model="full", times=times, rtol=1e-10) for p in paths]
-        for order, limits in ((1, (3.5, 2.0)), (2, (5.0, 2.5))):
-            errors = [
-                sup_errors(full, trajectory(case, p, model="mean-flow", order=order, times=times))
-                for full, p in zip(fulls, paths, strict=True)
-            ]
-            for name, error, limit in zip(
-                ("velocity", "position"), np.max(errors, axis=0), limits, strict=True
-            ):
-                label = f"wind, epsilon 1/{period}, mean-flow order {order}, {name}"
-                checks.append(Check(label, float(error), limit / period ** (order + 1)))
-    return checks

@@ -421,7 +421,7 @@ impl Scenario {
         wind: &WindPath,
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
-    ) -> PyResult<([Bound<'py, PyArray2<f64>>; 4], [usize; 3])> {
+    ) -> PyResult<Followed<'py>> {
         let times = times.as_array().to_vec();
         let out = py.detach(|| ensemble::trajectory(&self.0, &wind.0, &solver.0, &times))?;
         let (mean_position, mean_velocity): (Vec<_>, Vec<_>) = out.mean.into_iter().unzip();
@@ -470,6 +470,9 @@ impl Scenario {
         self.followed(py, &winds, solver, first..first + count, &times, keep, threads)
     }
 }
+
+/// Position, velocity, slow position and velocity; steps accepted, rejected, and evaluations.
+type Followed<'py> = ([Bound<'py, PyArray2<f64>>; 4], [usize; 3]);
 
 /// Status, stranding time and position, positions of the kept members, first failure.
 type Outcome<'py> = (
