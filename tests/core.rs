@@ -1,6 +1,6 @@
 //! The core on its own: exact solutions, orders of convergence, bounds and laws, without Python.
 
-#![expect(clippy::expect_used, clippy::unwrap_used, reason = "a test that cannot go on must fail")]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on must fail")]
 
 use std::f64::consts::TAU;
 use std::ops::ControlFlow;
