@@ -590,7 +590,7 @@ def test_save_all_writes_print_quality(tmp_path: Path) -> None:
     assert [path.name for path in paths] == FILES
     assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == sorted(FILES)
     for path in paths:
-        assert plt.imread(path).shape[1] == 2100
+        assert plt.imread(path).shape[1] == 1400
 
 
 def test_save_all_refuses_to_overwrite_and_then_writes_nothing(tmp_path: Path) -> None:
@@ -600,7 +600,7 @@ def test_save_all_refuses_to_overwrite_and_then_writes_nothing(tmp_path: Path) -
     assert [path.name for path in tmp_path.iterdir()] == ["roses.png"]
     assert (tmp_path / "roses.png").read_text() == "mine"
     plot.save_all(make_forecast(), tmp_path, overwrite=True)
-    assert plt.imread(tmp_path / "roses.png").shape[1] == 2100
+    assert plt.imread(tmp_path / "roses.png").shape[1] == 1400
 
 
 def test_save_all_leaves_nothing_half_written(
