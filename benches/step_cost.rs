@@ -49,7 +49,7 @@ fn bootstrap() -> Bootstrap {
 fn generator() -> WindGenerator {
     let small_scale =
         SmallScale::new(0.1, 3.0 / 12.5 * EPSILON, SYNOPTIC_STEP, 48).expect("numbers above 0");
-    WindGenerator::new(bootstrap(), small_scale, SYNOPTIC_STEP, 1.0, 7, None)
+    WindGenerator::new(Arc::new(bootstrap()), small_scale, SYNOPTIC_STEP, 1.0, 7, None)
         .expect("numbers above 0")
 }
 

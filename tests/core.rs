@@ -336,7 +336,7 @@ fn broken_catalogues_are_refused() {
 fn generator() -> WindGenerator {
     let small_scale = SmallScale::new(0.2, 0.005, 0.0096, 48).unwrap();
     let bootstrap = Bootstrap::new(catalogue(0.3)).unwrap();
-    WindGenerator::new(bootstrap, small_scale, 0.0096, 2.0, 7, None).unwrap()
+    WindGenerator::new(Arc::new(bootstrap), small_scale, 0.0096, 2.0, 7, None).unwrap()
 }
 
 /// The coarse and the fine path of a member are one wind: same values at the synoptic steps, same

@@ -104,6 +104,8 @@ def trajectory(
     DriftCoreError
         The integration failed.
     """
+    if not isinstance(path, WindPath):
+        raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
     instants = _output_times(times, scenario.duration)
     order, solver = _solver(
         scenario, model, order, window, wind_terms, formulation, rtol, atol, euler_step
@@ -116,7 +118,7 @@ def trajectory(
     except RuntimeError as error:
         raise DriftCoreError(str(error)) from None
     names = ("position", "velocity", "mean_position", "mean_velocity")
-    found = {name: a for name, a in zip(names, arrays, strict=True) if len(a) == len(instants)}
+    found = {name: a for name, a in zip(names, arrays, strict=True) if len(a)}
     steps = zip(("steps", "rejected_steps", "evaluations"), work, strict=True)
     attributes: dict[str, Any] = {
         "model": model,
@@ -466,7 +468,7 @@ def member_path(
     """
     solver = _core.Solver.paper(1, 4 * scenario.period, True, 1e-8, 1e-8, None)
     winds = _Resampled(scenario, wind, solver, seed)
-    member = _count("member", member, least=0)
+    member, seed = _count("member", member, least=0), _count("seed", seed, least=0)
     return WindPath(*winds.generator.path(seed, member, winds.end))
 
 
@@ -592,11 +594,11 @@ def _solver(
     except ValueError as error:
         raise ScenarioError(str(error)) from None
     atol = rtol if atol is None else atol
-    for field, value in (("rtol", rtol), ("atol", atol), ("euler_step", euler_step)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ScenarioError(f"{field}: {value} is not accepted; it must be above 0")
-    if window is not None and not (math.isfinite(window) and window > 0):
-        raise ScenarioError(f"window: {window} is not accepted; it must be above 0")
+    numbers = {"rtol": rtol, "atol": atol, "euler_step": euler_step, "window": window}
+    for field, value in numbers.items():
+        number = isinstance(value, int | float | np.number)
+        if value is not None and not (number and math.isfinite(value) and value > 0):
+            raise ScenarioError(f"{field}: {value!r} is not accepted; a finite number above 0 is")
     if window is not None and model != "paper":
         raise ScenarioError(f'window: model {model!r} has none; only "paper" averages the wind')
     if formulation not in ("A", "B"):
@@ -716,7 +718,10 @@ class _Given:
 
 
 def _output_times(times: ArrayLike, duration: float) -> Floats:
-    instants = np.atleast_1d(np.asarray(times, dtype=float))
+    try:
+        instants = np.atleast_1d(np.asarray(times, dtype=float))
+    except (TypeError, ValueError):
+        raise ScenarioError("times: must be one finite number or a list of them") from None
     if instants.ndim != 1 or len(instants) == 0 or not np.isfinite(instants).all():
         raise ScenarioError("times: must be one finite number or a list of them")
     if (np.diff(instants) < 0).any():

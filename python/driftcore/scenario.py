@@ -32,7 +32,7 @@ def check_order(model: str, order: int | None) -> int | None:
         raise ValueError(f"model: {model!r} is not accepted; one of {', '.join(orders)}")
     if order is None:
         return orders[model][0]
-    if order not in orders[model]:
+    if isinstance(order, bool | float) or order not in orders[model]:
         known = " or ".join(str(o) for o in sorted(o for o in orders[model] if o is not None))
         accepted = f"orders {known} exist" if known else "it is exact and has no order"
         raise ValueError(f"order: {order} is not accepted for model {model!r}; {accepted}")
@@ -68,7 +68,9 @@ class Scenario(Configuration):
         default=1 / 50, description="tide period, in units of the run"
     )
     duration: PositiveFloat = Field(default=1.0, description="length of the run; 1 in the paper")
-    drag: PositiveFloat = Field(default=1.0, description="drag rate Λ, per unit of time")
+    drag: Annotated[float, Field(gt=0, le=1e6)] = Field(
+        default=1.0, description="drag rate Λ, per unit of time"
+    )
     position: Pair = Field(default=(1.0, 1.0), description="position at the release")
     velocity: Pair = Field(default=(0.0, 0.0), description="velocity at the release")
     wind_unit: PositiveFloat = Field(default=3.0, description="the unit of velocity [m/s]")
@@ -178,7 +180,7 @@ class EnsembleConfiguration(Configuration):
         default=None, description='averaging window of the wind, "paper" only; epsilon/2 if absent'
     )
     wind_terms: bool = Field(default=True, description='keep the terms B_W, "paper" only')
-    rtol: Annotated[float, Field(gt=0, lt=0.1)] = Field(
+    rtol: Annotated[float, Field(ge=1e-15, lt=0.1)] = Field(
         default=1e-8, description="relative tolerance"
     )
     keep: Annotated[int, Field(ge=0)] = Field(

@@ -90,6 +90,9 @@ pub struct Step<const N: usize> {
     pub t: f64,
     /// Length of the step.
     pub h: f64,
+    /// End of the step: exactly that of the integration at the last one, where `t + h` may differ
+    /// by rounding.
+    pub end: f64,
     /// State at the start.
     pub y: SVector<f64, N>,
     /// State at the end.
@@ -99,11 +102,6 @@ pub struct Step<const N: usize> {
 }
 
 impl<const N: usize> Step<N> {
-    /// End of the step.
-    pub fn end(&self) -> f64 {
-        self.t + self.h
-    }
-
     /// State at a time inside the step.
     pub fn state(&self, t: f64) -> SVector<f64, N> {
         let u = (t - self.t) / self.h;
@@ -135,6 +133,7 @@ pub fn euler<const N: usize>(
     let mut work = Work::default();
     for k in 0..count as usize {
         let t = t0 + k as f64 * h;
+        let end = if k + 1 == count as usize { t1 } else { t0 + (k + 1) as f64 * h };
         let change = rhs(t, &y)? * h;
         let y_end = y + change;
         if y_end.iter().any(|value| !value.is_finite()) {
@@ -143,7 +142,7 @@ pub fn euler<const N: usize>(
         let zero = SVector::zeros();
         work.accepted += 1;
         work.evaluations += 1;
-        let flow = on_step(&Step { t, h, y, y_end, powers: [change, zero, zero, zero] })?;
+        let flow = on_step(&Step { t, h, end, y, y_end, powers: [change, zero, zero, zero] })?;
         y = y_end;
         if flow.is_break() {
             break;
@@ -225,7 +224,7 @@ pub fn integrate<const N: usize>(
         work.accepted += 1;
         let powers =
             std::array::from_fn(|power| weighted(&D.map(|weights| weights[power]), &k) * trial);
-        let step = Step { t, h: end - t, y, y_end, powers };
+        let step = Step { t, h: end - t, end, y, y_end, powers };
         let error = error.max(1e-10);
         let factor = SAFETY * error.powf(-INTEGRAL) * last_error.powf(PROPORTIONAL);
         let proposal = trial * factor.clamp(MIN_FACTOR, MAX_FACTOR);

@@ -1,6 +1,8 @@
 //! The doorway to Python: checks shapes, copies in, releases the interpreter while it computes,
 //! moves arrays out. The only file that knows pyo3 and numpy.
 
+use std::sync::Arc;
+
 use numpy::{
     Complex64, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1,
     PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
@@ -135,7 +137,7 @@ impl WindPath {
 
 /// Fitted bootstrap of a wind record.
 #[pyclass(frozen)]
-struct Bootstrap(CoreBootstrap);
+struct Bootstrap(Arc<CoreBootstrap>);
 
 #[pymethods]
 impl Bootstrap {
@@ -167,7 +169,7 @@ impl Bootstrap {
             cycle: flat(&cycle),
             bandwidth,
         };
-        Ok(Self(py.detach(|| CoreBootstrap::new(catalogue))?))
+        Ok(Self(Arc::new(py.detach(|| CoreBootstrap::new(catalogue))?)))
     }
 
     #[pyo3(signature = (members, steps, seed, first_member=0, phase=None))]
@@ -253,7 +255,7 @@ impl WindGenerator {
 
 /// Sea-surface velocity field.
 #[pyclass(frozen)]
-struct Sea(std::sync::Arc<dyn SeaField>);
+struct Sea(Arc<dyn SeaField>);
 
 /// (mean, modulation, cycles, phase, axis) and sine amplitudes of a separable current.
 type Current<'py> = ((f64, f64, f64, f64, usize), PyReadonlyArray2<'py, f64>);
@@ -282,7 +284,7 @@ impl Sea {
     ) -> PyResult<Self> {
         let sea =
             AcademicSea::new(period, separable(&tide)?, separable(&residual)?, residual_scale)?;
-        Ok(Self(std::sync::Arc::new(sea)))
+        Ok(Self(Arc::new(sea)))
     }
 
     /// Axes (start, step, count) of x, y and time; spline coefficients [time, y, x, channel].
@@ -297,7 +299,7 @@ impl Sea {
         let values = coefficients.as_array().iter().copied().collect();
         let axes = axes.map(|(start, step, count)| Axis { start, step, count });
         let sea = GriddedSea::new(period, axes, tide_harmonics, channels, values)?;
-        Ok(Self(std::sync::Arc::new(sea)))
+        Ok(Self(Arc::new(sea)))
     }
 
     fn velocity<'py>(

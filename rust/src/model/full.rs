@@ -29,7 +29,7 @@ fn place<const N: usize>(state: &SVector<f64, N>) -> Vec2 {
 
 impl<const N: usize> Piece for FullPiece<'_, N> {
     fn span(&self) -> (f64, f64) {
-        (self.step.t, self.step.end())
+        (self.step.t, self.step.end)
     }
 
     fn position(&self, t: f64) -> Result<Vec2, DriftError> {

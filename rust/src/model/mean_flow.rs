@@ -174,7 +174,7 @@ impl MeanFlowPiece<'_> {
 
 impl Piece for MeanFlowPiece<'_> {
     fn span(&self) -> (f64, f64) {
-        (self.step.t, self.step.end())
+        (self.step.t, self.step.end)
     }
 
     fn position(&self, t: f64) -> Result<Vec2, DriftError> {

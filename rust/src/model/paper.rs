@@ -124,7 +124,7 @@ struct PaperPiece<'a> {
 
 impl Piece for PaperPiece<'_> {
     fn span(&self) -> (f64, f64) {
-        (self.step.t, self.step.end())
+        (self.step.t, self.step.end)
     }
 
     fn position(&self, t: f64) -> Result<Vec2, DriftError> {

@@ -8,6 +8,8 @@ pub mod bootstrap;
 pub mod path;
 pub mod small_scale;
 
+use std::sync::Arc;
+
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -53,7 +55,7 @@ pub struct SynopticSample {
 /// Draws the wind of any member in a scenario's units.
 #[derive(Debug, Clone)]
 pub struct WindGenerator {
-    bootstrap: Bootstrap,
+    bootstrap: Arc<Bootstrap>,
     small_scale: SmallScale,
     /// Synoptic step [time].
     step: f64,
@@ -69,7 +71,7 @@ impl WindGenerator {
     /// `step` is the record's step in scenario time, `unit` the scenario's velocity unit in m/s;
     /// the small scale comes in scenario units.
     pub fn new(
-        bootstrap: Bootstrap,
+        bootstrap: Arc<Bootstrap>,
         small_scale: SmallScale,
         step: f64,
         unit: f64,
