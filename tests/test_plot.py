@@ -480,6 +480,18 @@ def every_figure(forecast: xr.Dataset) -> list[list[Any]]:
     ]
 
 
+def test_convergence_is_logarithmic_and_tells_curves_apart() -> None:
+    x = [0.01, 0.1]
+    curves = {f"curve {k}": (x, [10.0 ** -(k + 2), 10.0**-k]) for k in range(8)}
+    lines = plot.convergence(curves, "step", "error")
+    axes = figure_of(lines).axes[0]
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert {"step", "error", *curves} <= set(texts(figure_of(lines)))
+    assert labelled(lines, "curve 1").get_xydata().tolist() == [[0.01, 1e-3], [0.1, 0.1]]
+    assert len({line.get_color() for line in lines}) == 8
+    assert len({line.get_marker() for line in lines}) == 8
+
+
 def test_figures_are_legible_and_leave_global_state_alone() -> None:
     before = dict(mpl.rcParams)
     label = "synthetic climate fitted to six summers of a hindcast, the seventh left out " * 2

@@ -112,7 +112,7 @@ def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> 
             table.add(tomlkit.comment(f"{name} =   # {comment}"))
             continue
         try:
-            item = tomlkit.item(_plain(value))
+            item = tomlkit.item(NOTHING if value is None else _plain(value))
         except ValueError:
             # Arrays given in Python: named, so that reading this back fails instead of differing.
             item = tomlkit.item(repr(value))
@@ -129,8 +129,6 @@ def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> 
 
 
 def _plain(value: Any) -> Any:
-    if value is None:
-        return NOTHING
     return [_plain(part) for part in value] if isinstance(value, tuple) else value
 
 
@@ -179,7 +177,7 @@ def _where(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    text = repr(_plain(value))
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 

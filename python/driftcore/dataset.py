@@ -150,6 +150,8 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
     encoding: dict[Any, dict[str, Any]] = {
         name: {"zlib": True, "complevel": 4} for name, v in dataset.items() if v.ndim > 1
     }
+    # A coordinate has no missing values (CF 2.5.1), and so none that stands for them.
+    encoding |= {name: {"_FillValue": None} for name in dataset.coords}
     with replacing(path, overwrite) as temporary:
         # The HDF5 library brings the process down when the disk fills up under it.
         needed, free = dataset.nbytes + _FILE_OVERHEAD, shutil.disk_usage(temporary.parent).free
@@ -168,14 +170,16 @@ def read_netcdf(path: Path) -> xr.Dataset:
     """
     import xarray as xr
 
-    if not path.is_file():
-        raise OutputError(f"{path}: no such file")
     try:
+        if not path.exists():
+            raise FileNotFoundError("no such file")
+        if path.is_dir():
+            raise IsADirectoryError("it is a folder")
         with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
             loaded = dataset.load()
     except Exception as error:
         # The HDF5 library answers a damaged file with whatever the damage leads it to.
-        raise OutputError(f"{path}: is not a NetCDF-4 file that can be read: {error}") from None
+        raise OutputError(f"{path}: cannot be read as NetCDF-4: {error}") from None
     expected = ("status", "stranding_time", "stranding_position", "configuration")
     missing = [name for name in expected if name not in {*loaded.variables, *loaded.attrs}]
     if missing:

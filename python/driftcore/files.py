@@ -18,18 +18,25 @@ def check_writable(path: Path, overwrite: bool) -> None:
     Raises
     ------
     OutputError
-        It exists and may not be overwritten, or its folder is missing or read-only.
+        It exists and may not be overwritten or is no plain file, or its folder is missing or
+        read-only.
     """
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; name a file")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: exists; choose another name or ask to overwrite (--overwrite)")
     folder = path.parent
-    if not folder.is_dir():
-        raise OutputError(f"{path}: folder {folder} does not exist")
     try:
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; name a file")
+        if path.exists() and not path.is_file():
+            raise OutputError(f"{path}: is a device or a pipe; name a file")
+        if path.exists() and not overwrite:
+            raise OutputError(
+                f"{path}: exists; choose another name or ask to overwrite (--overwrite)"
+            )
+        if not folder.is_dir():
+            raise OutputError(f"{path}: folder {folder} does not exist")
         with tempfile.TemporaryFile(dir=folder):
             pass
+    except OutputError:
+        raise
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -62,7 +69,7 @@ def replacing(path: Path, overwrite: bool) -> Iterator[Path]:
 
 @contextmanager
 def filling(folder: Path, overwrite: bool, expected: str | None = None) -> Iterator[Path]:
-    """Give a temporary folder whose files move into `folder` when the block succeeds.
+    """Give a temporary folder whose files and subfolders move into `folder` if the block succeeds.
 
     Parameters
     ----------
@@ -79,23 +86,27 @@ def filling(folder: Path, overwrite: bool, expected: str | None = None) -> Itera
         The folder cannot be made or written, or a file is there and may not be replaced; nothing
         is left behind then.
     """
-    nearest = next(path for path in (folder, *folder.parents) if path.exists())
-    if expected is not None and nearest == folder:
-        check_writable(folder / expected, overwrite)
     try:
+        nearest = next(path for path in (folder, *folder.parents) if path.exists())
+        if expected is not None and nearest == folder:
+            check_writable(folder / expected, overwrite)
         temporary = Path(tempfile.mkdtemp(dir=nearest, prefix=".driftcore-"))
+    except OutputError:
+        raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
     try:
         yield temporary
-        files = sorted(temporary.iterdir())
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
-        for file in files:
-            check_writable(folder / file.name, overwrite)
-        for file in files:
-            file.replace(folder / file.name)
+        files = sorted(file for file in temporary.rglob("*") if file.is_file())
+        targets = [folder / file.relative_to(temporary) for file in files]
+        for parent in {folder, *(target.parent for target in targets)}:
+            try:
+                parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise OutputError(f"{parent}: cannot be made: {error.strerror}") from None
+        for target in targets:
+            check_writable(target, overwrite)
+        for file, target in zip(files, targets, strict=True):
+            file.replace(target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

@@ -7,7 +7,7 @@ The figure of ``artists = trajectories(dataset)`` is ``artists[0].figure``.
 
 `trajectories` and `roses` are the paper's Figures 3 and 4; `plane`, `time_series` and
 `velocity_series` its Figures 1, 2 and 2-1 (Ailliot, Frénod & Monbet 2006). For compass directions
-the first component points east and the second north.
+the first component points east and the second north. `convergence` takes numbers.
 """
 
 from __future__ import annotations
@@ -28,15 +28,17 @@ from driftcore.files import check_writable, replacing
 from driftcore.statistics import wilson
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     import xarray as xr
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.legend import Legend
+    from numpy.typing import ArrayLike
 
 __all__ = [
+    "convergence",
     "plane",
     "roses",
     "save_all",
@@ -60,6 +62,7 @@ _BLUE, _ORANGE, _VERMILION, _GREEN, _PURPLE = (
     "#CC79A7",
 )
 _INK, _LAND, _SHORE = "#222222", "#E9E4D9", "#6B6252"
+_SKY = "#56B4E9"
 # Flag of the variable `status`: legend entry and colour of the path.
 _FATES = {
     0: ("afloat at the end", _ORANGE),
@@ -445,6 +448,49 @@ def plane(full: xr.Dataset, averaged: xr.Dataset, ax: Axes | None = None) -> lis
     _plane_labels(axes, full["position"])
     _title(axes, _model_words(averaged), _wind_words(full))
     _legend(axes, loc="upper left", bbox_to_anchor=(1.02, 1.0), borderaxespad=0.0)
+    return artists
+
+
+def convergence(
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    x_label: str,
+    y_label: str,
+    ax: Axes | None = None,
+) -> list[Artist]:
+    """Draw errors against what they shrink with, on logarithmic axes.
+
+    Parameters
+    ----------
+    curves : mapping of str to pairs of array_like
+        By legend entry: abscissas and errors, shape ``(k,)`` each and above 0.
+    x_label, y_label : str
+        What the axes show.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; left out, a new figure 7 in wide.
+
+    Returns
+    -------
+    list of matplotlib.artist.Artist
+        One line per curve: up to eight differ in colour and marker.
+    """
+    axes = _figure(_TIMES).subplots() if ax is None else ax
+    colours = (_INK, _VERMILION, _ORANGE, _PURPLE, _GREEN, _BLUE, _SKY, _SHORE)
+    artists: list[Artist] = []
+    for k, (label, (x, error)) in enumerate(curves.items()):
+        artists += axes.loglog(
+            np.asarray(x),
+            np.asarray(error),
+            color=colours[k % len(colours)],
+            marker="osD^vP*X"[k % len(colours)],
+            # Hollow: curves that coincide show each other.
+            markerfacecolor="none",
+            markersize=4.0 + 0.8 * (k % 3),
+            linewidth=1.0,
+            label=label,
+        )
+    _labels(axes, x_label, y_label)
+    _grid(axes)
+    _legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.2), borderaxespad=0.0)
     return artists
 
 

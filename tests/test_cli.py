@@ -1,0 +1,510 @@
+"""The command line as a user meets it: results, refusals of one line, nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import driftcore as dc
+from driftcore import cli, files
+from driftcore.climate import synthetic_record
+from driftcore.errors import OutputError
+
+SMALL = "[ensemble]\nmembers = 3\n[wind]\nh = 0.3\n"
+OF_FILE = SMALL + 'record = "wind.csv"\n'
+RECORD = synthetic_record(3)
+FIGURES = {"trajectories.png", "roses.png", "stranding_times.png"}
+
+
+class Result(NamedTuple):
+    """What a command left: its exit code and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def driftcore(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
+    """Run the command in an empty folder, on a synthetic climate of few summers: fitted at once."""
+    monkeypatch.setattr("driftcore.climate.synthetic_record", lambda: RECORD)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def call(*arguments: object) -> Result:
+        monkeypatch.setattr(sys, "argv", ["driftcore", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capsys.readouterr()
+        assert isinstance(end.value.code, int)
+        return Result(end.value.code, out, err)
+
+    return call
+
+
+@contextmanager
+def unchanged(folder: Path = Path()) -> Iterator[None]:
+    """Check that no file or folder, hidden or not, comes or goes."""
+    before = sorted(folder.rglob("*"))
+    yield
+    assert sorted(folder.rglob("*")) == before
+
+
+def refused(result: Result, *words: str) -> None:
+    """Check for exit code 2 and one line that holds the words."""
+    assert result.code == 2, result
+    assert result.out == ""
+    assert result.err.startswith("error: ")
+    assert result.err.count("\n") == 1
+    for word in words:
+        assert word in result.err
+
+
+def write(text: str, path: str = "scenario.toml") -> Path:
+    Path(path).write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+def names(folder: str | Path = ".") -> set[str]:
+    return {path.name for path in Path(folder).iterdir()}
+
+
+# Results
+
+
+def test_run_prints_a_summary_and_writes_the_forecast(driftcore: Command) -> None:
+    result = driftcore("run", write(SMALL), "-o", "out.nc")
+    assert result.code == 0
+    assert result.err == ""
+    words = ("synthetic", "mean-flow, order 1, seed 1", "3 members, 26.0 days", "95 % interval")
+    assert all(word in result.out for word in words)
+    assert result.out.endswith("wrote out.nc\n")
+    assert dc.open_forecast("out.nc").dataset.sizes["member"] == 3
+
+
+def test_json_holds_what_the_forecast_says(driftcore: Command) -> None:
+    result = driftcore("run", write(SMALL), "-o", "out.nc", "--json")
+    told = json.loads(result.out)
+    forecast = dc.open_forecast("out.nc")
+    p = forecast.stranding_probability()
+    assert (result.code, result.err) == (0, "")
+    assert (told["stranding_probability"], told["low"], told["high"]) == (p.estimate, p.low, p.high)
+    assert {name: told[name] for name in forecast.counts} == forecast.counts
+    quantiles = forecast.stranding_time_quantiles((0.05, 0.5, 0.95)).values
+    assert list(told["stranding_time_quantiles"].values()) == pytest.approx(quantiles.tolist())
+
+
+def test_quiet_prints_nothing(driftcore: Command) -> None:
+    scenario = write(SMALL)
+    assert driftcore("run", scenario, "-o", "out.nc", "--quiet") == (0, "", "")
+    assert driftcore("plot", "out.nc", "-o", "figures", "-q") == (0, "", "")
+
+
+def test_plot_writes_its_figures_beside_the_file_or_where_told(driftcore: Command) -> None:
+    driftcore("run", write(SMALL), "-o", "out.nc")
+    assert driftcore("plot", "out.nc").code == 0
+    # Brackets are markup to the printer and characters to the file system.
+    result = driftcore("plot", "out.nc", "-o", "new/[b]figures")
+    assert result.out.count("wrote new/[b]figures/") == len(FIGURES)
+    assert names("new/[b]figures") == FIGURES
+    assert names() == {"scenario.toml", "out.nc", "new", *FIGURES}
+
+
+def test_demo_can_be_run_again_from_its_scenario_and_from_its_file(driftcore: Command) -> None:
+    """Both give bitwise the same values."""
+    assert driftcore("demo", "--members", 4, "-o", "a/demo", "-q") == (0, "", "")
+    assert names("a/demo") > {"demo.nc", *FIGURES}
+    assert names("a") == {"demo"}
+    demo = dc.open_forecast("a/demo/demo.nc")
+
+    printed = driftcore("demo", "--members", 4, "--print-scenario")
+    assert printed.code == 0
+    for name, text in {"printed": printed.out, "recorded": demo.configuration()}.items():
+        driftcore("run", write(text, f"{name}.toml"), "-o", f"{name}.nc", "-q")
+        assert dc.open_forecast(f"{name}.nc").dataset.equals(demo.dataset)
+
+
+def test_run_with_a_record_can_be_run_again_from_anywhere(
+    driftcore: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("here").mkdir()
+    RECORD.to_csv("here/wind.csv")
+    driftcore("run", write(OF_FILE, "here/a.toml"), "-o", "a.nc")
+    first = dc.open_forecast("a.nc")
+    Path("there").mkdir()
+    monkeypatch.chdir("there")
+    driftcore("run", write(first.configuration()), "-o", "b.nc")
+    assert dc.open_forecast("b.nc").dataset.equals(first.dataset)
+
+
+def test_forecast_of_failed_members_is_told(driftcore: Command) -> None:
+    scenario = write(SMALL + "[scenario]\nvelocity = [1e300, 0]\n")
+    result = driftcore("run", scenario, "-o", "out.nc")
+    assert result.code == 0
+    assert result.err.startswith("warning: 3 of 3 members failed")
+    assert "failed  3 members" in result.out
+    told = json.loads(driftcore("run", scenario, "-o", "out2.nc", "--json").out)
+    assert told["stranding_probability"] is None
+    refused(driftcore("plot", "out.nc", "-o", "figures"), "none of 3 members could be followed")
+    assert not Path("figures").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ([], ["demo", "run", "plot", "validate"]),
+        (["demo"], ["--members", "--seed", "--print-scenario", "--output"]),
+        (["run"], ["SCENARIO", "--output", "--json", "--quiet", "--overwrite", "--threads"]),
+        (["plot"], ["FORECAST", "--output"]),
+        (["validate"], ["--output", "Exit code 1"]),
+    ],
+)
+def test_help_fits_eighty_columns(driftcore: Command, command: list[str], words: list[str]) -> None:
+    result = driftcore(*command, "--help")
+    assert (result.code, result.err) == (0, "")
+    assert max(map(len, result.out.splitlines())) <= 80
+    assert f"Usage: {' '.join(['driftcore', *command])}" in result.out
+    assert all(word in result.out for word in words)
+
+
+def test_version(driftcore: Command) -> None:
+    assert driftcore("--version") == (0, f"driftcore {dc.__version__}\n", "")
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--bogus"],
+        ["bogus"],
+        ["run"],
+        ["run", "scenario.toml"],
+        ["run", "scenario.toml", "-o", "out.nc", "--bogus"],
+        ["run", "scenario.toml", "-o", "out.nc", "--threads", "0"],
+        ["run", "scenario.toml", "another.toml", "-o", "out.nc"],
+        ["demo", "--members", "many"],
+        ["demo", "--seed"],
+        ["plot"],
+        ["validate", "--bogus"],
+    ],
+)
+def test_usage_errors(driftcore: Command, arguments: list[str]) -> None:
+    write(SMALL)
+    with unchanged():
+        result = driftcore(*arguments)
+    assert (result.code, result.out) == (2, "")
+    assert "─ Error ─" in result.err
+
+
+# Scenario files, and what must be in the message. `tests/test_scenario.py` has the rest.
+SCENARIOS = {
+    "[scenario]\nepsilon = 0": ("scenario.epsilon: 0 is not accepted", "greater than 0"),
+    "[ensemble]\nmembers = 0": ("ensemble.members: 0 is not accepted",),
+    "[ensemble]\nmembers = -1": ("ensemble.members: -1 is not accepted",),
+    "[ensemble]\norder = 3": ("ensemble.order: 3 is not accepted",),
+    "[ensemble]\norder = 0": ("ensemble.order: 0", "'mean-flow'", "orders 1 or 2"),
+    "[ensemble]\nmodel = 'paper'\nwindow = 0.2": ("window", "windows up to 0.08 (4 tides)"),
+    "[ensemble]\nmodel = 'full'\nwindow = 0.01": ("window: model 'full' has none",),
+    "[ensemble]\nwindow = 0.01": ("window: model 'mean-flow' has none",),
+    "[scenario]\nposition = [5, 5]": ("position: (5, 5) lies outside the coast", "'inside'"),
+    "[scenario]\nside = 'outside'": ("position: (1, 1) lies within the coast", "'outside'"),
+    "[wind]\nrecrod = 'a'": ("wind.recrod: unknown key", "did you mean 'record'?"),
+    "[scenario.coast]\nradus = 1": ("scenario.coast.radus: unknown key", "'radius'?"),
+    "[scenario]\nepsilon = 'a'": ("scenario.epsilon: 'a' is not accepted", "valid number"),
+    "[scenario]\ndrag = -1\nwind_unit = 0": ("scenario.drag: -1", "; scenario.wind_unit: 0"),
+    "[ensemble\n": ("scenario.toml: not valid TOML", "line 1"),
+    "[wind]\nmonths = [1]\nh = 0.3": ("months: (1,) leaves no row", "(6, 7, 8)"),
+    "[wind]\nb = 0.1": ("b: 0.1 is given, but only mode 'lgb'",),
+}
+
+
+@pytest.mark.parametrize(("toml", "words"), SCENARIOS.items())
+def test_refused_scenarios(driftcore: Command, toml: str, words: tuple[str, ...]) -> None:
+    scenario = write(toml)
+    with unchanged():
+        refused(driftcore("run", scenario, "-o", "out.nc"), *words)
+
+
+def test_scenario_files_that_cannot_be_read(driftcore: Command) -> None:
+    Path("latin.toml").write_bytes("name = 'Île'".encode("latin-1"))
+    Path("folder").mkdir()
+    with unchanged():
+        refused(driftcore("run", "no.toml", "-o", "out.nc"), "no.toml: no such file")
+        refused(driftcore("run", "latin.toml", "-o", "out.nc"), "latin.toml: is not UTF-8 text")
+        refused(driftcore("run", "folder", "-o", "out.nc"), "folder: cannot be read")
+
+
+def spoilt(name: str) -> pd.DataFrame:
+    """A record with one fault."""
+    record = RECORD.copy()
+    match name:
+        case "columns":
+            return record.rename(columns={"u10": "speed"})
+        case "nan" | "inf":
+            record.iloc[5, 0] = float(name)
+            return record
+        case "gap":
+            return record.drop(record.index[10:14])
+        case "unsorted":
+            return record.iloc[::-1]
+        case "repeated":
+            return record.iloc[[0, 1, 1, *range(2, len(record))]]
+        case "constant":
+            return record * 0 + 3
+        case "short":
+            return record.iloc[:50]
+    raise ValueError(name)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("columns", ["'u10' and 'v10'", "'speed'"]),
+        ("nan", ["u10: row 5", "nan"]),
+        ("inf", ["u10: row 5", "inf"]),
+        ("gap", ["gap of 30 h after row 9"]),
+        ("unsorted", ["row 1", "is earlier than the row before it"]),
+        ("repeated", ["row 2", "repeats the row before it"]),
+        ("constant", ["do not vary"]),
+        ("short", ["at least 200 are needed"]),
+    ],
+)
+def test_refused_winds(driftcore: Command, fault: str, words: list[str]) -> None:
+    spoilt(fault).to_csv("wind.csv")
+    scenario = write(OF_FILE)
+    with unchanged():
+        refused(driftcore("run", scenario, "-o", "out.nc"), *words)
+
+
+@pytest.mark.parametrize("record", ["no.csv", ".", "empty.csv", "binary.csv", "header.csv"])
+def test_winds_that_cannot_be_read(driftcore: Command, record: str) -> None:
+    write("", "empty.csv")
+    write("time,u10,v10\n", "header.csv")
+    Path("binary.csv").write_bytes(bytes(range(256)) * 20)
+    scenario = write(f'{SMALL}record = "{record}"\n')
+    with unchanged():
+        refused(driftcore("run", scenario, "-o", "out.nc"))
+
+
+def test_knots_are_told_in_one_line_and_taken(driftcore: Command) -> None:
+    (RECORD * 3.8).to_csv("wind.csv")
+    scenario = write(OF_FILE)
+    result = driftcore("run", scenario, "-o", "out.nc")
+    assert result.code == 0
+    assert result.err.startswith("warning: ")
+    assert result.err.count("\n") == 1
+    assert "knots" in result.err
+    assert Path("out.nc").is_file()
+
+
+@pytest.mark.parametrize("members", [0, -1])
+def test_demo_refuses_members(driftcore: Command, members: int) -> None:
+    with unchanged():
+        refused(driftcore("demo", f"--members={members}"), f"members: {members} is not accepted")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that even root cannot write")
+def test_folders_that_cannot_be_written(driftcore: Command) -> None:
+    scenario = write(SMALL)
+    refused(driftcore("run", scenario, "-o", "/proc/out.nc"), "/proc/out.nc: cannot be written")
+    refused(driftcore("demo", "--members", 2, "-o", "/proc/a/b"), "/proc/a/b: cannot be written")
+
+
+def test_outputs_that_cannot_be_written(driftcore: Command) -> None:
+    scenario = write(SMALL)
+    Path("folder").mkdir()
+    name = "n" * 300
+    refusals = {
+        "no/out.nc": "no/out.nc: folder no does not exist",
+        "scenario.toml/out.nc": "scenario.toml/out.nc: folder scenario.toml does not exist",
+        "folder": "folder: is a folder; name a file",
+        os.devnull: "is a device or a pipe; name a file",
+        f"{name}.nc": "cannot be written: File name too long",
+    }
+    with unchanged():
+        for output, words in refusals.items():
+            refused(driftcore("run", scenario, "-o", output, "--overwrite"), words)
+        for output in ("scenario.toml/folder", name):
+            result = driftcore("demo", "--members", 2, "-o", output)
+            refused(result, f"{output}: cannot be written")
+
+
+def test_existing_files_are_kept_unless_told(driftcore: Command) -> None:
+    scenario = write(SMALL)
+    write("precious", "out.nc")
+    write("precious", "demo.nc")
+    with unchanged():
+        refused(driftcore("run", scenario, "-o", "out.nc"), "out.nc: exists", "--overwrite")
+        refused(driftcore("demo", "--members", 2, "-o", "."), "demo.nc: exists", "--overwrite")
+    assert Path("out.nc").read_text(encoding="utf-8") == "precious"
+    assert driftcore("run", scenario, "-o", "out.nc", "--overwrite").code == 0
+    write("precious", "roses.png")
+    with unchanged():
+        refused(driftcore("plot", "out.nc"), "roses.png: exists", "--overwrite")
+    assert driftcore("plot", "out.nc", "--overwrite").code == 0
+    assert names() > FIGURES
+
+
+def test_plot_refuses_what_is_no_forecast(driftcore: Command) -> None:
+    scenario = write(SMALL)
+    driftcore("run", scenario, "-o", "out.nc", "-q")
+    content = Path("out.nc").read_bytes()
+    Path("truncated.nc").write_bytes(content[:5000])
+    damaged = bytearray(content)
+    damaged[6000:9000] = np.random.default_rng(1).bytes(3000)
+    Path("damaged.nc").write_bytes(damaged)
+    xr.Dataset({"status": 1}).to_netcdf("other.nc", engine="h5netcdf")
+    with unchanged():
+        refused(driftcore("plot", "no.nc", "-o", "p"), "no.nc: cannot be read", "no such file")
+        refused(driftcore("plot", ".", "-o", "p"), ".: cannot be read", "is a folder")
+        refused(driftcore("plot", scenario, "-o", "p"), "scenario.toml: cannot be read as NetCDF-4")
+        refused(driftcore("plot", "truncated.nc", "-o", "p"), "truncated.nc: cannot be read")
+        refused(driftcore("plot", "damaged.nc", "-o", "p"), "damaged.nc: cannot be read")
+        refused(driftcore("plot", "other.nc", "-o", "p"), "other.nc: is not a driftcore forecast")
+
+
+def test_out_of_memory_is_told(driftcore: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausted(*_: Any, **__: Any) -> None:
+        raise MemoryError
+
+    # By its module: the package's attribute of this name is the function in it.
+    monkeypatch.setattr(sys.modules["driftcore.forecast"], "run", exhausted)
+    scenario = write(SMALL)
+    with unchanged():
+        refused(driftcore("run", scenario, "-o", "out.nc"), "out of memory")
+
+
+# Interruption
+
+ANNOUNCED = """
+import sys
+from driftcore.cli import main
+module = sys.modules["driftcore.forecast"]
+run = module.run
+def announced(*positional, **named):
+    print("running", flush=True)
+    return run(*positional, **named)
+module.run = announced
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are not sent there")
+@pytest.mark.parametrize("command", ["run", "demo"])
+def test_interruption_leaves_nothing(command: str, tmp_path: Path) -> None:
+    long = "[wind]\nh = 0.3\n[ensemble]\nmodel = 'full'\nmembers = 200000\n"
+    (tmp_path / "long.toml").write_text(long, encoding="utf-8")
+    arguments: dict[str, list[str | Path]] = {
+        "run": ["run", tmp_path / "long.toml", "-o", tmp_path / "out.nc"],
+        "demo": ["demo", "-o", tmp_path / "new/demo", "--members", "200000"],
+    }
+    with unchanged(tmp_path):
+        with subprocess.Popen(  # noqa: S603 (our own interpreter)
+            [sys.executable, "-c", ANNOUNCED, *arguments[command], "--threads", "1"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "running\n"
+            time.sleep(0.5)
+            sent = time.monotonic()
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        # Half a second; more where other work holds the processors.
+        assert time.monotonic() - sent < 3
+    assert (process.returncode, out, err) == (130, "", "interrupted; nothing was written\n")
+
+
+def test_letters_that_the_terminal_lacks_stop_nothing(tmp_path: Path) -> None:
+    def ascii_only(*arguments: str) -> bytes:
+        return subprocess.run(  # noqa: S603 (our own interpreter)
+            [sys.executable, "-c", "from driftcore.cli import main; main()", *arguments],
+            env={**os.environ, "PYTHONIOENCODING": "ascii"},
+            check=True,
+            capture_output=True,
+        ).stdout
+
+    printed = ascii_only("demo", "--members=1", "--print-scenario").decode("utf-8")
+    assert "drag rate Λ" in printed
+    scenario, record = tmp_path / "été.toml", tmp_path / "Île.csv"
+    RECORD.to_csv(record)
+    scenario.write_text(printed.replace("embedded", record.as_posix(), 1), encoding="utf-8")
+    assert b"?le.csv" in ascii_only("run", str(scenario), "-o", str(tmp_path / "out.nc"))
+
+
+# Files
+
+
+def test_replacing_is_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "result.txt"
+    with files.replacing(path, overwrite=False) as temporary:
+        temporary.write_text("one", encoding="utf-8")
+        assert temporary.suffix == path.suffix
+        assert not path.exists()
+
+    def half() -> None:
+        with files.replacing(path, overwrite=True) as temporary:
+            temporary.write_text("tw", encoding="utf-8")
+            raise OSError("half")
+
+    with pytest.raises(OutputError, match="cannot be written: half"):
+        half()
+    assert names(tmp_path) == {"result.txt"}
+    assert path.read_text(encoding="utf-8") == "one"
+    umask = os.umask(0)
+    os.umask(umask)
+    assert path.stat().st_mode & 0o777 == 0o666 & ~umask
+
+
+def test_filling_moves_everything_or_nothing(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "folder"
+    with files.filling(target, overwrite=False) as folder:
+        (folder / "sub").mkdir()
+        (folder / "sub" / "a.txt").write_text("a", encoding="utf-8")
+        (folder / "b.txt").write_text("b", encoding="utf-8")
+        assert not target.exists()
+    assert sorted(path.name for path in tmp_path.rglob("*.txt")) == ["a.txt", "b.txt"]
+
+    def more() -> None:
+        with files.filling(target, overwrite=False) as folder:
+            (folder / "a.txt").touch()
+            (folder / "b.txt").touch()
+
+    with unchanged(tmp_path):
+        with pytest.raises(OutputError, match=r"b\.txt: exists"):
+            more()
+        with pytest.raises(KeyboardInterrupt), files.filling(tmp_path / "x/y", overwrite=False):
+            raise KeyboardInterrupt
+
+
+def test_a_full_disk_is_met_before_the_library_crashes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calm = dc.WindPath([0.0, 1.1], np.zeros((2, 2)))
+    forecast = dc.forecast(dc.paper.scenario(), [calm])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10))
+    with unchanged(tmp_path), pytest.raises(OutputError, match="0 MB are free"):
+        forecast.to_netcdf(tmp_path / "out.nc")
