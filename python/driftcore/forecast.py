@@ -325,6 +325,7 @@ class Forecast:
         from driftcore.statistics import wilson
 
         sectors = _count("sectors", sectors)
+        self.stranding_probability()  # refuses where no member could be followed
         places = self.dataset["stranding_position"].values
         places = places[np.isfinite(places[:, 0])] - self._center()
         bearing = np.degrees(np.arctan2(places[:, 0], places[:, 1]))
@@ -569,7 +570,8 @@ def _compiled(scenario: Scenario) -> _core.Scenario:
         sea.velocity(np.zeros(1), np.array([[x, y]]))
     except ValueError as error:
         raise ScenarioError(str(error)) from None
-    if coast is not None and coast.clearance(x, y) < 0:
+    # On the line up to rounding is on the line: stranded at once.
+    if coast is not None and coast.clearance(x, y) < -1e-12 * max(1.0, abs(x), abs(y)):
         found, wanted = ("outside", "within") if inside else ("within", "outside")
         raise ScenarioError(
             f"scenario.position: ({x:g}, {y:g}) lies {found} the coast line, by "

@@ -8,6 +8,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from driftcore.errors import ScenarioError
+
 
 @dataclass(frozen=True)
 class Probability:
@@ -69,6 +71,6 @@ def wilson(
 def probability(count: int, members: int, level: float = 0.95) -> Probability:
     """Give the share `count / members` with its Wilson interval."""
     if members <= 0:
-        raise ValueError(f"members: {members} is not accepted; no member could be followed")
+        raise ScenarioError(f"members: {members} is not accepted; no member could be followed")
     low, high = wilson(count, members, level)
     return Probability(count / members, float(low), float(high), count, members, level)
