@@ -3,8 +3,8 @@
 //! The catalogue holds one row per state of the record that has a successor. Given the present
 //! state `z*` (whitened), a row `J` is drawn with weight `exp(−|z* − z_J|²/2h²)`, and
 //! `next = c + A y* + target_J + B ξ`: with `A = 0`, `target` the successor and `B = bL` this is
-//! the paper's `lgb`; with `A` the least-squares predictor, `target` its residual and `B = 0` it
-//! is the residual bootstrap.
+//! the paper's `lgb`; with `A` the least-squares predictor, `target` its standardised residual and
+//! `B = 0` it is the residual bootstrap.
 //!
 //! The weights need not be computed for all rows. The state after row `J` lies close to the
 //! state that followed `J` in the record (its *centre*), so a row is proposed from a table made
