@@ -6,14 +6,15 @@ use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use driftcore::coast::{Coast, Side};
-use driftcore::ensemble::{self, Scenario};
+use driftcore::ensemble::{Ensemble, Scenario, Winds};
 use driftcore::field::academic::AcademicSea;
 use driftcore::field::gridded::{Axis, GriddedSea};
 use driftcore::field::{Harmonics, SeaField, Vec2};
 use driftcore::model::{Formulation, Model, Problem, Solver};
 use driftcore::wind::bootstrap::{Bootstrap, Catalogue};
+use driftcore::wind::lanes::WindPaths;
 use driftcore::wind::small_scale::SmallScale;
 use driftcore::wind::{Sampling, WindGenerator};
 use num_complex::Complex64;
@@ -138,11 +139,44 @@ fn models(c: &mut Criterion) {
         c.bench_function(&format!("model/{name}"), |b| {
             b.iter(|| solver.follow(problem, &mut |_| Ok(ControlFlow::Continue(()))));
         });
-        c.bench_function(&format!("member/{name}, coast, no outputs"), |b| {
-            b.iter(|| ensemble::member(&scenario, wind, &solver, &[]));
-        });
     }
 }
 
-criterion_group!(benches, fields, winds, models);
+/// Members per second: with their own winds drawn and a coast, and with winds in memory.
+fn members(c: &mut Criterion) {
+    let generator = generator();
+    let drawn = Winds::Drawn { generator: &generator, seed: 1 };
+    let (mean_flow, full) =
+        (Model::MeanFlow { order: 1 }, Model::Full(driftcore::model::Formulation::B));
+    let solver = |model| Solver { model, rtol: 1e-6, atol: 1e-6, euler_step: None };
+    let scenario = scenario();
+    let mut group = c.benchmark_group("members");
+    group.throughput(Throughput::Elements(64));
+    for (name, model) in [("mean-flow, order 1", mean_flow), ("full", full)] {
+        let ensemble = Ensemble::new(&scenario, &drawn, solver(model), None, (&[], 0))
+            .expect("the ensemble is well formed");
+        group.bench_function(format!("{name}, drawn winds, coast"), |b| {
+            b.iter(|| ensemble.follow(0..64));
+        });
+    }
+    let open_sea = Scenario { coast: None, ..scenario };
+    for count in [64, 2048] {
+        let wave = |member: usize, knot: usize| (0.37 * (31 * member + 17 * knot) as f64).sin();
+        let paths = WindPaths::new(0.0, 2e-4, [count, 5001], |member, knot| {
+            Vec2::new(wave(member, knot), wave(member + 1, knot))
+        })
+        .expect("the paths are well formed");
+        let winds = Winds::InMemory(&paths);
+        group.throughput(Throughput::Elements(count as u64));
+        for steps in [None, Some(8.0)] {
+            let ensemble = Ensemble::new(&open_sea, &winds, solver(full), steps, (&[], 0))
+                .expect("the ensemble is well formed");
+            group.bench_function(format!("full, {count} winds in memory, {steps:?} steps"), |b| {
+                b.iter(|| ensemble.follow(0..count as u64));
+            });
+        }
+    }
+}
+
+criterion_group!(benches, fields, winds, models, members);
 criterion_main!(benches);

@@ -7,13 +7,14 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use driftcore::coast::{Coast, Side};
-use driftcore::ensemble::{self, Scenario, Status, Winds};
+use driftcore::ensemble::{self, Ensemble, Member, Scenario, Status, Winds};
 use driftcore::error::DriftError;
 use driftcore::field::academic::{AcademicSea, SeparableCurrent};
 use driftcore::field::gridded::{Axis, GriddedSea};
 use driftcore::field::{SeaField, Vec2};
 use driftcore::model::{Formulation, Model, Problem, Solver};
 use driftcore::wind::bootstrap::{Bootstrap, Catalogue};
+use driftcore::wind::lanes::WindPaths;
 use driftcore::wind::path::WindPath;
 use driftcore::wind::small_scale::SmallScale;
 use driftcore::wind::{Sampling, WindGenerator};
@@ -262,7 +263,7 @@ fn catalogue(bandwidth: f64) -> Catalogue {
     }
 }
 
-/// The proposal and the plain weighing draw rows by the weights: χ² over the rows that expect at
+/// The leaves and the plain weighing draw rows by the weights: χ² over the rows that expect at
 /// least five of 40,000 draws, p > 1e-4 by the normal approximation (z < 3.72).
 #[test]
 fn rows_are_drawn_by_their_weights() {
@@ -281,9 +282,9 @@ fn rows_are_drawn_by_their_weights() {
                 .map(|k| ((nearest - distance2(k)) / (2.0 * bandwidth * bandwidth)).exp())
                 .collect();
             let total: f64 = weights.iter().sum();
-            for near in [None, Some(37), Some(411)] {
+            for weigh_all in [false, true] {
                 let mut rng = ChaCha8Rng::seed_from_u64(case as u64);
-                let draws = bootstrap.draws_at(y, near, 40_000, &mut rng).unwrap();
+                let draws = bootstrap.draws_at(y, weigh_all, 40_000, &mut rng).unwrap();
                 let mut count = vec![0.0; 701];
                 draws.iter().for_each(|row| count[*row] += 1.0);
                 let (mut chi2, mut cells) = (0.0, 0.0);
@@ -306,7 +307,7 @@ fn rows_are_drawn_by_their_weights() {
                 let degrees: f64 = cells - 1.0;
                 let z = ((chi2 / degrees).cbrt() - 1.0 + 2.0 / (9.0 * degrees))
                     / (2.0 / (9.0 * degrees)).sqrt();
-                assert!(degrees > 1.0 && z < 3.72, "h {bandwidth}, {y:?}, {near:?}: z = {z}");
+                assert!(degrees > 1.0 && z < 3.72, "h {bandwidth}, {y:?}, {weigh_all}: z = {z}");
             }
         }
     }
@@ -364,6 +365,17 @@ fn scenario(sea: Arc<dyn SeaField>, coast: Option<Coast>, position: Vec2) -> Sce
     Scenario { sea, coast, drag: 1.0, duration: 1.0, position, velocity: Vec2::zeros() }
 }
 
+fn follow(
+    scenario: &Scenario,
+    winds: &Winds,
+    solver: &Solver,
+    steps_per_tide: Option<f64>,
+    outputs: (&[f64], u64),
+    members: std::ops::Range<u64>,
+) -> Vec<Member> {
+    Ensemble::new(scenario, winds, *solver, steps_per_tide, outputs).unwrap().follow(members)
+}
+
 #[test]
 fn members_end_as_they_should() {
     let calm = WindPath::new(vec![-2.0, 3.0], vec![Vec2::zeros(); 2]).unwrap();
@@ -374,7 +386,7 @@ fn members_end_as_they_should() {
     let inside = scenario(sea.clone(), circle.clone(), Vec2::new(1.0, 1.0));
     let times = [0.0, 0.1, 0.5, 1.0];
     let run = |scenario: &Scenario, solver: &Solver, keep| {
-        ensemble::run(scenario, &Winds::Given(&winds), solver, 0..2, &times, keep)
+        follow(scenario, &Winds::Given(&winds), solver, None, (&times, keep), 0..2)
     };
     let order_1 = solver(Model::MeanFlow { order: 1 }, 1e-10);
     let members = run(&inside, &order_1, 1);
@@ -426,11 +438,130 @@ fn grazing_oscillations_are_found() {
         scenario.drag = 1e-9;
         scenario.duration = 0.4;
         for model in [FULL, Model::MeanFlow { order: 1 }] {
-            let member = ensemble::member(&scenario, &calm, &solver(model, 1e-11), &[]);
+            let winds = Winds::Given(&[&calm]);
+            let members = follow(&scenario, &winds, &solver(model, 1e-11), None, (&[], 0), 0..1);
+            let member = &members[0];
             assert_eq!(member.status, status, "{model:?}, depth {depth}");
             if let Some((t, _)) = member.stranding {
                 assert!(t < period / 2.0 && t > 0.4 * period, "{model:?}: {t}");
             }
         }
     }
+}
+
+/// Members side by side are the members alone: 40 winds (two whole groups and a part), both models,
+/// a sea linear in the position and one that is not, positions and strandings within the errors of
+/// the steps. A member that leaves the grid, or whose tolerance no common step meets, is followed
+/// alone and ends the same way to the last bit.
+#[test]
+fn side_by_side_as_alone() {
+    let generator = generator();
+    let times: Vec<f64> = (0..=20).map(|k| f64::from(k) / 20.0).collect();
+    let drawn = Winds::Drawn { generator: &generator, seed: 3 };
+    let academic: Arc<dyn SeaField> = Arc::new(AcademicSea::paper(0.02).unwrap());
+    let gridded: Arc<dyn SeaField> = Arc::new(nonlinear_sea(0.02));
+    let circle = |radius| Coast::circle(Vec2::new(1.0, 1.0), radius, Side::Inside).ok();
+    for (sea, coast) in [(academic, circle(0.3)), (gridded.clone(), circle(0.3)), (gridded, None)] {
+        let scenario = scenario(sea, coast, Vec2::new(1.0, 1.0));
+        for model in [FULL, Model::MeanFlow { order: 1 }] {
+            let sampling = if model == FULL { Sampling::Fine } else { Sampling::Coarse };
+            let paths: Vec<WindPath> =
+                (0..40).map(|k| generator.path(3, k, 1.0, sampling).unwrap()).collect();
+            let given: Vec<&WindPath> = paths.iter().collect();
+            let outputs = (times.as_slice(), 40);
+            let alone = follow(
+                &scenario,
+                &Winds::Given(&given),
+                &solver(model, 1e-11),
+                None,
+                outputs,
+                0..40,
+            );
+            let abreast = follow(&scenario, &drawn, &solver(model, 1e-5), None, outputs, 0..40);
+            let mut stranded = 0;
+            for (one, other) in alone.iter().zip(&abreast) {
+                assert_eq!(one.status, other.status, "{model:?}");
+                for (x, y) in one.positions.iter().zip(&other.positions) {
+                    assert!((x - y).norm() < 1e-6, "{model:?}: {}", (x - y).norm());
+                }
+                if let (Some((t, x)), Some((s, y))) = (one.stranding, other.stranding) {
+                    assert!((t - s).abs() < 1e-4 && (x - y).norm() < 1e-4, "{model:?}: {t} {s}");
+                    stranded += 1;
+                }
+            }
+            assert!(scenario.coast.is_none() || (1..40).contains(&stranded), "{stranded}");
+            // No common step meets this tolerance: every member goes alone.
+            let strict = solver(model, 1e-13);
+            let exact = follow(&scenario, &drawn, &strict, None, outputs, 0..20);
+            let expected = follow(&scenario, &Winds::Given(&given), &strict, None, outputs, 0..20);
+            for (one, other) in exact.iter().zip(&expected) {
+                assert_eq!(one.positions, other.positions);
+                assert_eq!(one.stranding, other.stranding);
+            }
+        }
+    }
+}
+
+/// Neither the lane nor the neighbours of a member matter: parts of a run, begun anywhere, are the
+/// run, bit for bit, with winds drawn and with winds in memory.
+#[test]
+fn lanes_do_not_influence_each_other() {
+    let generator = generator();
+    let drawn = Winds::Drawn { generator: &generator, seed: 3 };
+    let paths: Vec<WindPath> =
+        (0..40).map(|k| generator.path(3, k, 1.0, Sampling::Fine).unwrap()).collect();
+    let (start, step) = (paths[0].start(), paths[0].times()[1] - paths[0].times()[0]);
+    let lanes = WindPaths::new(start, step, [40, paths[0].times().len()], |member, knot| {
+        paths[member].knots()[knot]
+    })
+    .unwrap();
+    let in_memory = Winds::InMemory(&lanes);
+    let coast = Coast::circle(Vec2::new(1.0, 1.0), 0.3, Side::Inside).ok();
+    let sea = Arc::new(AcademicSea::paper(0.02).unwrap());
+    let scenario = scenario(sea, coast, Vec2::new(1.0, 1.0));
+    let times = [0.25, 0.5, 1.0];
+    for (winds, model) in
+        [(&drawn, FULL), (&drawn, Model::MeanFlow { order: 1 }), (&in_memory, FULL)]
+    {
+        let run =
+            |members| follow(&scenario, winds, &solver(model, 1e-6), None, (&times, 40), members);
+        let whole = run(0..40);
+        let parts: Vec<Member> = [0..1, 1..18, 18..33, 33..40].into_iter().flat_map(run).collect();
+        for (one, other) in whole.iter().zip(&parts) {
+            assert_eq!(one.positions, other.positions);
+            assert_eq!(one.stranding, other.stranding);
+        }
+    }
+    // One wind, drawn or in memory, is one trajectory up to rounding.
+    let one = follow(&scenario, &drawn, &solver(FULL, 1e-6), None, (&times, 40), 0..40);
+    let two = follow(&scenario, &in_memory, &solver(FULL, 1e-6), None, (&times, 40), 0..40);
+    for (one, two) in one.iter().zip(&two) {
+        for (x, y) in one.positions.iter().zip(&two.positions) {
+            assert!((x - y).norm() < 1e-11);
+        }
+    }
+}
+
+/// The fixed steps of the full model are of fifth order: the error falls 32-fold by halving.
+#[test]
+fn common_steps_have_order_five() {
+    let generator = generator();
+    let sea = Arc::new(AcademicSea::paper(0.02).unwrap());
+    let scenario = scenario(sea, None, Vec2::new(1.0, 1.0));
+    let calm = WindPaths::new(0.0, 1.0, [1, 2], |_, _| Vec2::zeros()).unwrap();
+    let winds = Winds::InMemory(&calm);
+    let end = |steps| {
+        let members =
+            follow(&scenario, &winds, &solver(FULL, 1e-6), Some(steps), (&[1.0], 1), 0..1);
+        members[0].positions[0]
+    };
+    let exact = end(96.0);
+    let error = |steps| (end(steps) - exact).norm();
+    let orders =
+        [(6.0, 12.0), (8.0, 16.0), (12.0, 24.0)].map(|(a, b)| (error(a) / error(b)).log2());
+    assert!(orders.iter().all(|order| (order - 5.0).abs() < 0.4), "{orders:?}");
+    let drawn = Winds::Drawn { generator: &generator, seed: 3 };
+    let second = Model::MeanFlow { order: 2 };
+    let refused = Ensemble::new(&scenario, &drawn, solver(second, 1e-6), Some(8.0), (&[], 0));
+    assert!(refused.is_err());
 }

@@ -29,7 +29,7 @@ from driftcore.forecast import (
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
 from driftcore.statistics import Probability
-from driftcore.wind import LocalGridBootstrap, WindPath, WindRecord, read_record
+from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths, WindRecord, read_record
 
 __version__ = _core.VERSION
 
@@ -49,6 +49,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "WindPath",
+    "WindPaths",
     "WindRecord",
     "__version__",
     "forecast",

@@ -22,6 +22,10 @@ class WindPath:
     def mean(self, times: _Floats, window: float) -> _Floats: ...
 
 @final
+class WindPaths:
+    def __new__(cls, start: float, spacing: float, velocity: _Floats) -> WindPaths: ...
+    def velocity(self, member: int) -> _Floats: ...
+
 class Bootstrap:
     def __new__(
         cls,
@@ -45,7 +49,7 @@ class Bootstrap:
         phase: int | None = None,
     ) -> tuple[_Floats, _Integers]: ...
     def draws_at(
-        self, state: _Floats, count: int, seed: int, near: int | None = None
+        self, state: _Floats, count: int, seed: int, weigh_all: bool = False
     ) -> _Integers: ...
 
 @final
@@ -117,22 +121,12 @@ class Scenario:
     def trajectory(self, wind: WindPath, solver: Solver, times: _Floats) -> list[_Floats]: ...
     def run(
         self,
-        wind: WindGenerator,
-        solver: Solver,
-        seed: int,
-        first: int,
-        count: int,
-        times: _Floats,
-        keep: int,
-        threads: int,
-    ) -> _Outcome: ...
-    def run_under(
-        self,
-        paths: list[WindPath],
+        winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
         solver: Solver,
         first: int,
         count: int,
         times: _Floats,
         keep: int,
         threads: int,
+        steps_per_tide: float | None = None,
     ) -> _Outcome: ...

@@ -34,7 +34,7 @@ from driftcore.scenario import (
     check_order,
 )
 from driftcore.statistics import Probability, probability
-from driftcore.wind import LocalGridBootstrap, WindPath, WindRecord
+from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths, WindRecord
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,6 +45,8 @@ Floats = NDArray[np.float64]
 # Tides of wind drawn before the release, the same for every model so that a member has one wind:
 # the paper model with a window of 4 tides reaches back 3.
 _LEAD_IN_TIDES = 3
+# Members between two reports of progress, at least: what is shared is prepared anew for each.
+_LEAST_CHUNK = 1024
 # Small-scale steps in a tide, paper section 4.1.
 _FINE_STEPS = 100
 
@@ -136,7 +138,7 @@ def trajectory(
 
 def forecast(
     scenario: Scenario,
-    wind: LocalGridBootstrap | Sequence[WindPath] | None = None,
+    wind: LocalGridBootstrap | Sequence[WindPath] | WindPaths | None = None,
     *,
     members: int | None = None,
     model: ModelName = "mean-flow",
@@ -146,8 +148,9 @@ def forecast(
     times: ArrayLike | None = None,
     window: float | None = None,
     wind_terms: bool = True,
-    rtol: float = 1e-8,
+    rtol: float = 1e-6,
     atol: float | None = None,
+    steps_per_tide: float | None = None,
     threads: int | None = None,
     chunk: int | None = None,
     progress: Progress | None = None,
@@ -161,13 +164,17 @@ def forecast(
     ----------
     scenario : Scenario
         The body, its release, the sea and the coast.
-    wind : LocalGridBootstrap or sequence of WindPath, optional
+    wind : LocalGridBootstrap, sequence of WindPath, or WindPaths, optional
         The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate. Or the
         winds themselves, one member each.
     members : int, optional
         Number of members; default 1000, or as many as there are paths.
     model, order, window, wind_terms, rtol, atol
-        As in `trajectory`; the default is the mean-flow expansion of order 1.
+        As in `trajectory`; the default is the mean-flow expansion of order 1. It and `"full"` step
+        on a time grid common to all members, a tide and a tenth of one at most; a member whose
+        error is estimated above the tolerance is followed by adaptive steps of its own.
+    steps_per_tide : float, optional
+        Of one length, whatever the estimated error, for these two models: to compare.
     seed : int
         From 0 to 2⁶⁴ − 1.
     keep : int
@@ -205,6 +212,14 @@ def forecast(
         if members not in (None, len(wind)):
             raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
         members = len(wind)
+    if steps_per_tide is not None and not (
+        isinstance(steps_per_tide, int | float | np.number)
+        and math.isfinite(steps_per_tide)
+        and steps_per_tide > 0
+    ):
+        raise ScenarioError(
+            f"steps_per_tide: {steps_per_tide!r} is not accepted; a finite number above 0 is"
+        )
     if times is None:
         times = regular_times(scenario.duration, scenario.period / 8)
     instants = _output_times(times, scenario.duration)
@@ -220,7 +235,7 @@ def forecast(
         outputs_per_tide=max(1, len(instants) - 1) * scenario.period / scenario.duration,
     )
     threads = _count("threads", _default_threads() if threads is None else threads)
-    chunk = _count("chunk", max(1, members // 100) if chunk is None else chunk)
+    chunk = _count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
     keep = min(keep, members)
     compiled = _compiled(scenario)
     winds.warn()
@@ -228,7 +243,14 @@ def forecast(
     parts = []
     for first in range(0, members, chunk):
         count = min(chunk, members - first)
-        parts.append(winds.run(compiled, first, count, instants, keep, threads))
+        try:
+            parts.append(
+                compiled.run(
+                    winds.core, solver, first, count, instants, keep, threads, steps_per_tide
+                )
+            )
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
         if progress is not None:
             progress(first + count, members)
     status, stranding_time, stranding_position, position = (
@@ -620,7 +642,7 @@ class _Resampled:
     def __init__(
         self, scenario: Scenario, wind: LocalGridBootstrap, solver: _core.Solver, seed: int
     ) -> None:
-        self.scenario, self.wind, self.solver, self.seed = scenario, wind, solver, seed
+        self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
         substeps = max(1, math.ceil(step / (scenario.period / _FINE_STEPS) - 1e-9))
         lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
@@ -643,8 +665,10 @@ class _Resampled:
         self.lead_in = lead_in
         self.times = np.arange(math.ceil(self.end / step - 1e-9) + 1) * np.float64(step)
 
-    def run(self, compiled: _core.Scenario, first: int, count: int, *rest: Any) -> Any:
-        return compiled.run(self.generator, self.solver, self.seed, first, count, *rest)
+    @property
+    def core(self) -> tuple[_core.WindGenerator, int]:
+        """What the compiled core draws from."""
+        return self.generator, self.seed
 
     def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
         """Give the synoptic wind [m/s] of the first `keep` members from the release on."""
@@ -680,33 +704,42 @@ class _Resampled:
 
 
 class _Given:
-    """Winds given as paths, one for each member."""
+    """Winds given as paths, one for each member: a list of them, or all on common knots."""
 
-    def __init__(self, scenario: Scenario, paths: Sequence[WindPath], solver: _core.Solver) -> None:
-        if not isinstance(paths, Sequence) or not all(isinstance(p, WindPath) for p in paths):
+    def __init__(
+        self, scenario: Scenario, paths: Sequence[WindPath] | WindPaths, solver: _core.Solver
+    ) -> None:
+        together = isinstance(paths, WindPaths)
+        if not together and not (
+            isinstance(paths, Sequence) and all(isinstance(p, WindPath) for p in paths)
+        ):
             raise ScenarioError(
-                f"wind: {type(paths).__name__} is not accepted; a fitted LocalGridBootstrap, or a "
-                "list of WindPath"
+                f"wind: {type(paths).__name__} is not accepted; a fitted LocalGridBootstrap, a "
+                "list of WindPath, or WindPaths"
             )
-        if not paths:
+        if not len(paths):
             raise ScenarioError("wind: the list of paths is empty")
         start, end = solver.wind_needed(scenario.duration, scenario.period)
         slack = 1e-9 * (end - start)
-        for k, path in enumerate(paths):
+        for k, path in enumerate([paths] if isinstance(paths, WindPaths) else paths):
             if path.times[0] > start + slack or path.times[-1] < end - slack:
+                which = "they cover" if together else f"path {k} covers"
                 raise ScenarioError(
-                    f"wind: path {k} covers [{path.times[0]:g}, {path.times[-1]:g}]; "
+                    f"wind: {which} [{path.times[0]:g}, {path.times[-1]:g}]; "
                     f"the run needs [{start:g}, {end:g}]"
                 )
-        self.scenario, self.paths, self.solver = scenario, paths, solver
+        self.scenario, self.paths = scenario, paths
 
-    def run(self, compiled: _core.Scenario, first: int, count: int, *rest: Any) -> Any:
-        paths = [path.core for path in self.paths]
-        return compiled.run_under(paths, self.solver, first, count, *rest)
+    @property
+    def core(self) -> list[_core.WindPath] | _core.WindPaths:
+        """The compiled paths."""
+        if isinstance(self.paths, WindPaths):
+            return self.paths.core
+        return [path.core for path in self.paths]
 
     def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
         """Give the wind [m/s] of the first `keep` members at the output times."""
-        wind = np.array([path.core.velocity(instants) for path in self.paths[:keep]])
+        wind = np.array([self.paths[k].core.velocity(instants) for k in range(keep)])
         return instants, wind.reshape(keep, len(instants), 2) * self.scenario.wind_unit
 
     def configuration(self) -> WindConfiguration:

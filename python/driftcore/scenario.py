@@ -181,7 +181,7 @@ class EnsembleConfiguration(Configuration):
     )
     wind_terms: bool = Field(default=True, description='keep the terms B_W, "paper" only')
     rtol: Annotated[float, Field(ge=1e-15, lt=0.1)] = Field(
-        default=1e-8, description="relative tolerance"
+        default=1e-6, description="relative tolerance"
     )
     keep: Annotated[int, Field(ge=0)] = Field(
         default=1000, description="members whose trajectories are kept, from the first on"

@@ -648,6 +648,56 @@ class WindPath:
         return f"WindPath({len(self.times)} knots on [{first:g}, {last:g}])"
 
 
+class WindPaths:
+    """Winds of an ensemble on common, regular knots, kept the way that the core steps through them.
+
+    Parameters
+    ----------
+    times : array_like, shape (k,)
+        Knots, equally spaced, at least 2 [the scenario's time unit].
+    velocity : array_like, shape (members, k, 2)
+        Velocity toward x and y at the knots [the scenario's velocity unit].
+
+    Raises
+    ------
+    ScenarioError
+        If shapes, spacing or values do not fit.
+    """
+
+    times: Float
+
+    def __init__(self, times: ArrayLike, velocity: ArrayLike) -> None:
+        self.times = _real_array("times", times)
+        values = _real_array("velocity", velocity)
+        if self.times.ndim != 1 or len(self.times) < 2:
+            raise ScenarioError(
+                f"times: shape {self.times.shape} is not accepted; give at least 2 knots, (k,)"
+            )
+        if values.ndim != 3 or not len(values) or values.shape[1:] != (len(self.times), 2):
+            raise ScenarioError(
+                f"velocity: shape {values.shape} is not accepted; "
+                f"{len(self.times)} times need (members, {len(self.times)}, 2)"
+            )
+        spacing = float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
+        regular = self.times[0] + spacing * np.arange(len(self.times))
+        if spacing <= 0 or np.abs(self.times - regular).max() > 1e-9 * spacing:
+            raise ScenarioError("times: must be equally spaced and increase; else use WindPath")
+        self._members = len(values)
+        self.core = _core.WindPaths(float(self.times[0]), spacing, values)
+
+    def __len__(self) -> int:
+        return self._members
+
+    def __getitem__(self, member: int) -> WindPath:
+        if not 0 <= member < len(self):
+            raise IndexError(member)
+        return WindPath(self.times, self.core.velocity(member))
+
+    def __repr__(self) -> str:
+        first, last = self.times[0], self.times[-1]
+        return f"WindPaths({len(self)} members, {len(self.times)} knots on [{first:g}, {last:g}])"
+
+
 # Arguments
 
 

@@ -10,8 +10,8 @@ use nalgebra::SVector;
 
 use crate::error::{DriftError, positive};
 
-const C: [f64; 5] = [1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0];
-const A: [&[f64]; 5] = [
+pub(crate) const C: [f64; 5] = [1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0];
+pub(crate) const A: [&[f64]; 5] = [
     &[1.0 / 5.0],
     &[3.0 / 40.0, 9.0 / 40.0],
     &[44.0 / 45.0, -56.0 / 15.0, 32.0 / 9.0],
@@ -19,10 +19,10 @@ const A: [&[f64]; 5] = [
     &[9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0],
 ];
 /// Weights of order 5; the stage at the end of the step is the first of the next.
-const B: [f64; 6] =
+pub(crate) const B: [f64; 6] =
     [35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0];
 /// Order-5 weights less the embedded order-4 weights.
-const E: [f64; 7] = [
+pub(crate) const E: [f64; 7] = [
     71.0 / 57600.0,
     0.0,
     -71.0 / 16695.0,
@@ -32,7 +32,7 @@ const E: [f64; 7] = [
     -1.0 / 40.0,
 ];
 /// Weight of each stage in the powers `u, u², u³, u⁴` of the place in the step.
-const D: [[f64; 4]; 7] = [
+pub(crate) const D: [[f64; 4]; 7] = [
     [
         1.0,
         -8048581381.0 / 2820520608.0,
@@ -222,9 +222,7 @@ pub fn integrate<const N: usize>(
             continue;
         }
         work.accepted += 1;
-        let powers =
-            std::array::from_fn(|power| weighted(&D.map(|weights| weights[power]), &k) * trial);
-        let step = Step { t, h: end - t, end, y, y_end, powers };
+        let step = Step { t, h: end - t, end, y, y_end, powers: powers(&k, trial) };
         let error = error.max(1e-10);
         let factor = SAFETY * error.powf(-INTEGRAL) * last_error.powf(PROPORTIONAL);
         let proposal = trial * factor.clamp(MIN_FACTOR, MAX_FACTOR);
@@ -238,6 +236,11 @@ pub fn integrate<const N: usize>(
         }
     }
     Ok((work, h))
+}
+
+/// Powers of the dense output of a step of length `h` with the stages `k`.
+pub(crate) fn powers<const N: usize>(k: &[SVector<f64, N>; 7], h: f64) -> [SVector<f64, N>; 4] {
+    std::array::from_fn(|power| weighted(&D.map(|weights| weights[power]), k) * h)
 }
 
 fn weighted<const N: usize>(weights: &[f64], k: &[SVector<f64, N>; 7]) -> SVector<f64, N> {

@@ -10,7 +10,10 @@ use crate::coast::Coast;
 use crate::dopri5::Work;
 use crate::error::DriftError;
 use crate::field::{SeaField, Vec2};
-use crate::model::{Model, Piece, Problem, Solver};
+use crate::lanes::WIDTH;
+use crate::model::lanes::{Carrier, Grid, State};
+use crate::model::{Model, Piece, Problem, Reach, Solver};
+use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
 use crate::wind::{Sampling, WindGenerator};
 
@@ -121,7 +124,7 @@ pub fn trajectory(
 }
 
 /// Follows one body until it strands; what goes wrong on the way becomes its status.
-pub fn member(scenario: &Scenario, wind: &WindPath, solver: &Solver, times: &[f64]) -> Member {
+fn member(scenario: &Scenario, wind: &WindPath, solver: &Solver, times: &[f64]) -> Member {
     let mut next = 0;
     let mut positions = Vec::with_capacity(times.len());
     let mut stranding = None;
@@ -159,6 +162,8 @@ pub enum Winds<'a> {
     },
     /// Given, one for each member.
     Given(&'a [&'a WindPath]),
+    /// Given, on common knots.
+    InMemory(&'a WindPaths),
 }
 
 impl Winds<'_> {
@@ -174,38 +179,245 @@ impl Winds<'_> {
             }
             Self::Given(paths) => (paths.get(member as usize).map(|path| Cow::Borrowed(*path)))
                 .ok_or_else(|| DriftError::invalid("member", member, "it has no wind path")),
+            Self::InMemory(paths) => paths.path(member as usize).map(Cow::Owned),
         }
     }
 }
 
-/// Follows the members of a range, in the order of their indices, each under its own wind.
-/// Members below `keep` record their positions at `times`.
-pub fn run(
-    scenario: &Scenario,
-    winds: &Winds,
-    solver: &Solver,
-    members: std::ops::Range<u64>,
-    times: &[f64],
+/// An ensemble about to be followed: a scenario, a model, the winds, and what is recorded.
+pub struct Ensemble<'a> {
+    scenario: &'a Scenario,
+    winds: &'a Winds<'a>,
+    solver: Solver,
+    /// Output times, and the number of members that record their positions there.
+    times: &'a [f64],
     keep: u64,
-) -> Vec<Member> {
-    let sampling = match solver.model {
-        Model::MeanFlow { order: 1 } => Sampling::Coarse,
-        _ => Sampling::Fine,
-    };
-    let (_, end) = solver.wind_needed(scenario.duration, scenario.sea.period());
-    members
-        .into_par_iter()
-        .map(|index| match winds.path(index, end, sampling) {
-            Ok(path) => {
-                let times = if index < keep { times } else { &[] };
-                member(scenario, &path, solver, times)
+    end: f64,
+    sampling: Sampling,
+    side_by_side: Option<SideBySide<'a>>,
+}
+
+/// What members that step side by side have in common.
+struct SideBySide<'a> {
+    carrier: Carrier,
+    grid: Grid,
+    /// The problem of any member; its wind is calm.
+    problem: Problem<'a>,
+    start: Vec2,
+    tolerance: Option<(f64, f64)>,
+}
+
+impl<'a> Ensemble<'a> {
+    /// Prepares what all members share. `steps_per_tide` asks for steps of one length, without
+    /// control of the error, from the models that step side by side.
+    pub fn new(
+        scenario: &'a Scenario,
+        winds: &'a Winds<'a>,
+        solver: Solver,
+        steps_per_tide: Option<f64>,
+        (times, keep): (&'a [f64], u64),
+    ) -> Result<Self, DriftError> {
+        let sampling = match solver.model {
+            Model::MeanFlow { order: 1 } => Sampling::Coarse,
+            _ => Sampling::Fine,
+        };
+        let (_, end) = solver.wind_needed(scenario.duration, scenario.sea.period());
+        let carrier = Carrier::of(solver.model)
+            .filter(|_| solver.euler_step.is_none() && !matches!(winds, Winds::Given(_)));
+        let side_by_side = match carrier {
+            Some(carrier) => {
+                let problem = scenario.problem(WindPath::calm());
+                let longest = steps_per_tide.map_or(carrier.max_step(), |steps| 1.0 / steps);
+                let Scenario { sea, duration, drag, .. } = scenario;
+                Some(SideBySide {
+                    carrier,
+                    grid: Grid::new(carrier, sea.as_ref(), *duration, *drag, longest)?,
+                    problem,
+                    start: carrier.start(problem)?,
+                    tolerance: steps_per_tide.is_none().then_some((solver.rtol, solver.atol)),
+                })
             }
+            None if steps_per_tide.is_some() => {
+                return Err(DriftError::invalid(
+                    "steps_per_tide",
+                    "a number",
+                    "only the full model and mean-flow order 1, under winds that are drawn or \
+                     on common knots, take steps of one length",
+                ));
+            }
+            None => None,
+        };
+        Ok(Self { scenario, winds, solver, times, keep, end, sampling, side_by_side })
+    }
+
+    /// Follows the members of a range, in the order of their indices; groups of [`WIDTH`] share
+    /// their steps, and no member depends on another.
+    pub fn follow(&self, members: std::ops::Range<u64>) -> Vec<Member> {
+        let width = WIDTH as u64;
+        let groups = members.start / width..members.end.div_ceil(width);
+        let followed: Vec<Vec<Member>> = groups
+            .into_par_iter()
+            .map(|group| {
+                let range =
+                    (group * width).max(members.start)..((group + 1) * width).min(members.end);
+                self.group(range)
+            })
+            .collect();
+        followed.into_iter().flatten().collect()
+    }
+
+    fn group(&self, members: std::ops::Range<u64>) -> Vec<Member> {
+        if let Some(shared) = &self.side_by_side {
+            if let Ok(wind) = self.lane_wind(members.clone()) {
+                return self.abreast(shared, wind, members);
+            }
+        }
+        members.map(|index| self.alone(index)).collect()
+    }
+
+    fn times(&self, member: u64) -> &'a [f64] {
+        if member < self.keep { self.times } else { &[] }
+    }
+
+    /// Follows one member by the adaptive integrator.
+    fn alone(&self, index: u64) -> Member {
+        match self.winds.path(index, self.end, self.sampling) {
+            Ok(path) => member(self.scenario, &path, &self.solver, self.times(index)),
             Err(error) => Member {
                 status: Status::Failed,
                 stranding: None,
                 positions: Vec::new(),
                 failure: Some(error),
             },
-        })
-        .collect()
+        }
+    }
+
+    /// The winds of the members of one group; those before the first count as absent.
+    fn lane_wind(&self, members: std::ops::Range<u64>) -> Result<LaneWind<'_>, DriftError> {
+        match self.winds {
+            Winds::Drawn { generator, seed } => {
+                LaneWind::drawn(generator, *seed, members, self.sampling)
+            }
+            Winds::InMemory(paths) => {
+                paths.require(0.0, self.end)?;
+                Ok(LaneWind::in_memory(paths, members.start as usize / WIDTH))
+            }
+            Winds::Given(_) => Err(DriftError::invalid("winds", "paths", "they have no lanes")),
+        }
+    }
+
+    /// Follows a group side by side. A member whose error is estimated above the tolerance, or who
+    /// leaves the data, is followed alone: that depends on nobody else.
+    fn abreast(
+        &self,
+        shared: &SideBySide,
+        mut wind: LaneWind,
+        members: std::ops::Range<u64>,
+    ) -> Vec<Member> {
+        // In memory the lanes belong to fixed members, drawn winds begin with the first asked for.
+        let first = match self.winds {
+            Winds::InMemory(_) => members.start - members.start % WIDTH as u64,
+            _ => members.start,
+        };
+        let index = |place: usize| first + place as u64;
+        let mut adrift: [bool; WIDTH] =
+            std::array::from_fn(|place| members.contains(&index(place)));
+        let mut alone = [false; WIDTH];
+        let mut found: [Member; WIDTH] = std::array::from_fn(|place| Member {
+            status: Status::Afloat,
+            stranding: None,
+            positions: Vec::with_capacity(self.times(index(place)).len()),
+            failure: None,
+        });
+        let mut next = [0; WIDTH];
+        let mut safe: [Option<(Vec2, f64)>; WIDTH] = [None; WIDTH];
+        let Scenario { sea, coast, .. } = self.scenario;
+        let bounded = coast.is_some();
+        let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
+            return members.map(|index| self.alone(index)).collect();
+        };
+        for n in 0..shared.grid.steps() {
+            let (_, t1) = shared.grid.span(n);
+            wind.draw_until(t1, &adrift);
+            let before = state.p;
+            let stepped =
+                state.step(&shared.grid, sea.as_ref(), &wind, n, shared.tolerance, bounded);
+            let watched = bounded || members.start < self.keep || state.any_failed();
+            for place in (0..WIDTH).filter(|_| watched) {
+                if !adrift[place] {
+                    continue;
+                }
+                if state.failed(place) {
+                    (adrift[place], alone[place]) = (false, true);
+                    continue;
+                }
+                let times = self.times(index(place));
+                let has_output = times.get(next[place]).is_some_and(|t| *t <= t1);
+                let near = match (coast, &stepped.reach) {
+                    (Some(coast), Some(reach)) => {
+                        let reach = shared.carrier.oscillating(&shared.problem, reach.of(place));
+                        !clear(coast, &reach, &mut safe[place])
+                    }
+                    _ => false,
+                };
+                if !(has_output || near) {
+                    continue;
+                }
+                let stretch = wind.stretch(t1, place);
+                let problem = Problem { wind: &stretch, ..shared.problem };
+                let step = state.one_step(&shared.grid, n, &before, place);
+                let member = &mut found[place];
+                let looked = shared.carrier.with_piece(problem, &step, |piece| {
+                    self.look(piece, near, times, &mut next[place], member)
+                });
+                match looked {
+                    Ok(Ok(())) => adrift[place] = member.stranding.is_none(),
+                    _ => (adrift[place], alone[place]) = (false, true),
+                }
+            }
+            if adrift == [false; WIDTH] {
+                break;
+            }
+            wind.go_on(stepped.wind);
+        }
+        (0..WIDTH)
+            .zip(found)
+            .filter(|(place, _)| members.contains(&index(*place)))
+            .map(|(place, member)| if alone[place] { self.alone(index(place)) } else { member })
+            .collect()
+    }
+
+    /// Looks for a stranding within a piece and records the positions before it.
+    fn look(
+        &self,
+        piece: &dyn Piece,
+        near: bool,
+        times: &[f64],
+        next: &mut usize,
+        member: &mut Member,
+    ) -> Result<(), DriftError> {
+        if let Some(coast) = self.scenario.coast.as_ref().filter(|_| near) {
+            member.stranding = coast.first_crossing(piece, self.scenario.sea.period())?;
+        }
+        let until = member.stranding.map_or(f64::INFINITY, |(t, _)| t);
+        outputs(piece, times, next, until, |t| {
+            member.positions.push(piece.position(t)?);
+            Ok(())
+        })?;
+        if member.stranding.is_some() {
+            member.status = Status::Stranded;
+        }
+        Ok(())
+    }
+}
+
+/// Whether the coast is out of reach. A clearance changes by no more than the distance moved, so
+/// the one found last (`safe`: where, and how large) often tells without looking again.
+fn clear(coast: &Coast, reach: &Reach, safe: &mut Option<(Vec2, f64)>) -> bool {
+    if safe.is_some_and(|(x, clearance)| clearance - (reach.center - x).norm() > reach.radius) {
+        return true;
+    }
+    let clearance = coast.clearance(reach.center);
+    *safe = Some((reach.center, clearance));
+    clearance > reach.radius
 }

@@ -24,6 +24,7 @@ pub mod dopri5;
 pub mod ensemble;
 pub mod error;
 pub mod field;
+pub mod lanes;
 pub mod model;
 #[cfg(feature = "python")]
 mod python;

@@ -2,22 +2,24 @@
 //! moves arrays out. The only file that knows pyo3 and numpy.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use numpy::{
     Complex64, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1,
-    PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
+    PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArray4, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::coast::{Coast as CoreCoast, Side};
-use crate::ensemble::{self, Member, Winds};
+use crate::ensemble::{self, Ensemble, Member, Winds};
 use crate::error::DriftError;
 use crate::field::academic::{AcademicSea, SeparableCurrent};
 use crate::field::gridded::{Axis, GriddedSea};
 use crate::field::{SeaField, Vec2};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
 use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
+use crate::wind::lanes::WindPaths as CorePaths;
 use crate::wind::path::WindPath as CorePath;
 use crate::wind::small_scale::SmallScale;
 use crate::wind::{self, Sampling};
@@ -135,6 +137,35 @@ impl WindPath {
     }
 }
 
+/// Winds of an ensemble on common regular knots.
+#[pyclass(frozen)]
+struct WindPaths(CorePaths);
+
+#[pymethods]
+impl WindPaths {
+    #[new]
+    fn new(
+        py: Python,
+        start: f64,
+        spacing: f64,
+        velocity: PyReadonlyArray3<f64>,
+    ) -> PyResult<Self> {
+        let values = velocity.as_array();
+        let shape = [values.shape()[0], values.shape()[1]];
+        let paths = py.detach(|| {
+            CorePaths::new(start, spacing, shape, |member, knot| {
+                Vec2::new(values[[member, knot, 0]], values[[member, knot, 1]])
+            })
+        })?;
+        Ok(Self(paths))
+    }
+
+    /// Wind of one member at the knots.
+    fn velocity<'py>(&self, py: Python<'py>, member: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        columns(py, self.0.path(member)?.knots())
+    }
+}
+
 /// Fitted bootstrap of a wind record.
 #[pyclass(frozen)]
 struct Bootstrap(Arc<CoreBootstrap>);
@@ -198,19 +229,19 @@ impl Bootstrap {
         Ok((wind, predecessor.into_pyarray(py).reshape([members, steps])?))
     }
 
-    #[pyo3(signature = (state, count, seed, near=None))]
+    #[pyo3(signature = (state, count, seed, weigh_all=false))]
     fn draws_at<'py>(
         &self,
         py: Python<'py>,
         state: PyReadonlyArray1<f64>,
         count: usize,
         seed: u64,
-        near: Option<usize>,
+        weigh_all: bool,
     ) -> PyResult<Bound<'py, PyArray1<i64>>> {
         use rand::SeedableRng;
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let state = state.as_array().to_vec();
-        let rows = py.detach(|| self.0.draws_at(&state, near, count, &mut rng))?;
+        let rows = py.detach(|| self.0.draws_at(&state, weigh_all, count, &mut rng))?;
         Ok(rows.into_iter().map(|row| row as i64).collect::<Vec<_>>().into_pyarray(py))
     }
 }
@@ -391,8 +422,10 @@ impl Solver {
 #[pyclass(frozen)]
 struct Scenario(ensemble::Scenario);
 
-/// Members followed between two looks at Python's signals.
+/// Members followed before the first look at Python's signals, for each thread; more where they
+/// take less time than there is between two looks.
 const BATCH: u64 = 64;
+const SIGNALS_LOOKED_FOR: Duration = Duration::from_millis(50);
 
 #[pymethods]
 impl Scenario {
@@ -436,41 +469,83 @@ impl Scenario {
         Ok((arrays, [out.work.accepted, out.work.rejected, out.work.evaluations]))
     }
 
-    /// Members `first` to `first + count` under winds drawn for (seed, member).
+    /// Members `first` to `first + count` under winds drawn for (seed, member), under the paths of
+    /// those indices, or under paths on common knots.
+    #[pyo3(signature = (winds, solver, first, count, times, keep, threads, steps_per_tide=None))]
     #[expect(clippy::too_many_arguments, reason = "what names a run")]
     fn run<'py>(
         &self,
         py: Python<'py>,
-        wind: &WindGenerator,
+        winds: GivenWinds,
         solver: &Solver,
-        seed: u64,
         first: u64,
         count: u64,
         times: PyReadonlyArray1<f64>,
         keep: u64,
         threads: usize,
+        steps_per_tide: Option<f64>,
     ) -> PyResult<Outcome<'py>> {
-        let winds = Winds::Drawn { generator: &wind.0, seed };
-        self.followed(py, &winds, solver, first..first + count, &times, keep, threads)
+        let times = times.as_array().to_vec();
+        let paths: Vec<&CorePath> = match &winds {
+            GivenWinds::Paths(paths) => paths.iter().map(|path| &path.get().0).collect(),
+            _ => Vec::new(),
+        };
+        let winds = match &winds {
+            GivenWinds::Drawn(generator, seed) => {
+                Winds::Drawn { generator: &generator.get().0, seed: *seed }
+            }
+            GivenWinds::Paths(_) => Winds::Given(&paths),
+            GivenWinds::InMemory(paths) => Winds::InMemory(&paths.get().0),
+        };
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+        let members = first..first + count;
+        let kept = keep.saturating_sub(members.start).min(count) as usize;
+        let outputs = (times.as_slice(), keep);
+        let ensemble =
+            py.detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?;
+        let mut size = BATCH * threads as u64;
+        let mut followed: Vec<Member> = Vec::with_capacity(count as usize);
+        let mut at = members.start;
+        while at < members.end {
+            let batch = at..(at + size).min(members.end);
+            at = batch.end;
+            let began = Instant::now();
+            followed.extend(py.detach(|| pool.install(|| ensemble.follow(batch))));
+            py.check_signals()?;
+            if began.elapsed() < SIGNALS_LOOKED_FOR {
+                size *= 2;
+            }
+        }
+        let nowhere = Vec2::repeat(f64::NAN);
+        let status: Vec<i8> = followed.iter().map(|member| member.status as i8).collect();
+        let (stranding_times, places): (Vec<f64>, Vec<Vec2>) =
+            followed.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
+        let mut positions = Vec::with_capacity(kept * times.len());
+        for member in &followed[..kept] {
+            positions.extend(&member.positions);
+            positions.resize(positions.len() + times.len() - member.positions.len(), nowhere);
+        }
+        let failure =
+            followed.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
+        Ok((
+            status.into_pyarray(py),
+            stranding_times.into_pyarray(py),
+            columns(py, &places)?,
+            layers(py, [kept, times.len()], &positions)?,
+            failure,
+        ))
     }
+}
 
-    /// Members `first` to `first + count` under the paths of those indices.
-    #[expect(clippy::too_many_arguments, reason = "what names a run")]
-    fn run_under<'py>(
-        &self,
-        py: Python<'py>,
-        paths: Vec<Py<WindPath>>,
-        solver: &Solver,
-        first: u64,
-        count: u64,
-        times: PyReadonlyArray1<f64>,
-        keep: u64,
-        threads: usize,
-    ) -> PyResult<Outcome<'py>> {
-        let paths: Vec<&CorePath> = paths.iter().map(|path| &path.get().0).collect();
-        let winds = Winds::Given(&paths);
-        self.followed(py, &winds, solver, first..first + count, &times, keep, threads)
-    }
+/// Winds of an ensemble, as Python hands them over.
+#[derive(FromPyObject)]
+enum GivenWinds {
+    Drawn(Py<WindGenerator>, u64),
+    Paths(Vec<Py<WindPath>>),
+    InMemory(Py<WindPaths>),
 }
 
 /// Position, velocity, slow position and velocity; steps accepted, rejected, and evaluations.
@@ -485,60 +560,11 @@ type Outcome<'py> = (
     Option<String>,
 );
 
-impl Scenario {
-    #[expect(clippy::too_many_arguments, reason = "what names a run")]
-    fn followed<'py>(
-        &self,
-        py: Python<'py>,
-        winds: &Winds,
-        solver: &Solver,
-        members: std::ops::Range<u64>,
-        times: &PyReadonlyArray1<f64>,
-        keep: u64,
-        threads: usize,
-    ) -> PyResult<Outcome<'py>> {
-        let times = times.as_array().to_vec();
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        let kept = keep.saturating_sub(members.start).min(members.end - members.start) as usize;
-        let mut followed: Vec<Member> = Vec::new();
-        let mut at = members.start;
-        while at < members.end {
-            let batch = at..(at + BATCH).min(members.end);
-            at = batch.end;
-            followed.extend(py.detach(|| {
-                pool.install(|| ensemble::run(&self.0, winds, &solver.0, batch, &times, keep))
-            }));
-            py.check_signals()?;
-        }
-        let nowhere = Vec2::repeat(f64::NAN);
-        let status: Vec<i8> = followed.iter().map(|member| member.status as i8).collect();
-        let (stranding_times, places): (Vec<f64>, Vec<Vec2>) =
-            followed.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
-        let mut positions = Vec::with_capacity(kept * times.len());
-        for member in &followed[..kept] {
-            positions.extend(&member.positions);
-            positions.extend(vec![nowhere; times.len() - member.positions.len()]);
-        }
-        let failure =
-            followed.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
-        Ok((
-            status.into_pyarray(py),
-            stranding_times.into_pyarray(py),
-            columns(py, &places)?,
-            layers(py, [kept, times.len()], &positions)?,
-            failure,
-        ))
-    }
-}
-
 /// Compiled core of driftcore.
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::{Bootstrap, Coast, Scenario, Sea, Solver, WindGenerator, WindPath};
+    use super::{Bootstrap, Coast, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths};
 
     #[pymodule_export]
     const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -131,6 +131,10 @@ impl SeaField for AcademicSea {
         Ok(())
     }
 
+    fn is_linear(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds {
         let (tide, gradient, rate) = self.tide.bounds(center, radius);
         let (residual, _, _) = self.residual.bounds(center, radius);

@@ -10,6 +10,7 @@ pub mod gridded;
 
 use nalgebra::{Matrix2, Vector2};
 use num_complex::Complex64;
+use smallvec::SmallVec;
 
 use crate::error::DriftError;
 
@@ -33,13 +34,14 @@ pub struct Harmonic {
     pub hessian: [CMat2; 2],
 }
 
-/// The slowly varying coefficients of a sea field at one time and place.
+/// The slowly varying coefficients of a sea field at one time and place; the usual number of
+/// harmonics needs no allocation.
 #[derive(Debug, Clone, Default)]
 pub struct Harmonics {
     /// Tide: entry `j − 1` is harmonic `j`.
-    pub tide: Vec<Harmonic>,
+    pub tide: SmallVec<[Harmonic; 4]>,
     /// Residual current: entry 0 is the mean (real), entry `j` harmonic `j`.
-    pub residual: Vec<Harmonic>,
+    pub residual: SmallVec<[Harmonic; 4]>,
 }
 
 /// Upper bounds over a ball of positions and all times of the run; they make it provable that a
@@ -69,6 +71,11 @@ pub trait SeaField: Send + Sync {
 
     /// Bounds that hold in the ball around `center` at every time of the run.
     fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds;
+
+    /// Whether velocity and harmonics are linear in the position.
+    fn is_linear(&self) -> bool {
+        false
+    }
 
     /// Angular frequency `ω` [1/time] of the tide.
     fn omega(&self) -> f64 {

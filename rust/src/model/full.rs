@@ -13,7 +13,7 @@ use crate::error::DriftError;
 use crate::field::Vec2;
 
 /// Longest step as a share of the tide period: beyond it the error estimate is blind.
-const MAX_STEP: f64 = 0.1;
+pub(super) const MAX_STEP: f64 = 0.1;
 
 struct FullPiece<'a, const N: usize> {
     problem: &'a Problem<'a>,
@@ -21,6 +21,18 @@ struct FullPiece<'a, const N: usize> {
     step: &'a Step<N>,
     /// `Q(0)`.
     invariant: Vec2,
+}
+
+/// Hands the piece of a trajectory by rewrite B over one step to `visit`; the integrals of the wind
+/// are counted from the release.
+pub(super) fn with_piece<T>(
+    problem: Problem,
+    step: &Step<2>,
+    visit: impl FnOnce(&dyn Piece) -> T,
+) -> Result<T, DriftError> {
+    let wind = WindIntegrals::of_stretch(problem.wind);
+    let invariant = problem.invariant()?;
+    Ok(visit(&FullPiece { problem: &problem, wind: &wind, step, invariant }))
 }
 
 fn place<const N: usize>(state: &SVector<f64, N>) -> Vec2 {

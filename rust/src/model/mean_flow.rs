@@ -4,17 +4,20 @@
 //! tidal phase is a closed form in the harmonics; nothing is integrated over the phase.
 
 use num_complex::Complex64;
+use smallvec::{SmallVec, smallvec};
 
 use super::{
     OnPiece, Piece, Problem, Reach, Solver, WindIntegrals, antiderivative, excursion, harmonics,
-    stokes_drift,
+    mean_drift,
 };
 use crate::dopri5::{Step, Work};
 use crate::error::DriftError;
 use crate::field::{CMat2, CVec2, Harmonics, Vec2, complex, conj, in_phase, phasors, real, scaled};
 
 /// Longest step in tide periods: about two synoptic steps of the wind.
-const MAX_STEP: f64 = 1.0;
+pub(super) const MAX_STEP: f64 = 1.0;
+/// Amplitudes by harmonic; as many as the usual field has need no allocation.
+type Amplitudes = SmallVec<[CVec2; 4]>;
 const MAX_ITERATIONS: usize = 100;
 
 /// The expansion at one time and slow position.
@@ -22,14 +25,13 @@ struct Expansion {
     /// `f₁ + f₂`: tidal Stokes drift, residual current and their corrections.
     drift: Vec2,
     /// Amplitudes of `a₁ + a₂`; entry `l − 1` belongs to `e^{ilωt}`.
-    oscillation: Vec<CVec2>,
+    oscillation: Amplitudes,
 }
 
 impl Expansion {
     fn new(order: u8, at: &Harmonics, omega: f64, drag: f64, forcing: Vec2) -> Self {
-        let mut oscillation: Vec<CVec2> = excursion(&at.tide, omega).collect();
-        let mean = at.residual.first().map_or(Vec2::zeros(), |mean| real(mean.amplitude));
-        let mut drift = stokes_drift(&at.tide, omega) + mean;
+        let mut oscillation: Amplitudes = excursion(&at.tide, omega).collect();
+        let mut drift = mean_drift(at, omega);
         if order == 2 {
             let second = second_oscillation(at, &oscillation, omega, drag, forcing);
             drift += second_drift(at, &oscillation, &second);
@@ -54,9 +56,9 @@ fn second_oscillation(
     omega: f64,
     drag: f64,
     forcing: Vec2,
-) -> Vec<CVec2> {
+) -> Amplitudes {
     let highest = (2 * first.len()).max(at.residual.len().saturating_sub(1));
-    let mut rate = vec![CVec2::zeros(); highest];
+    let mut rate: Amplitudes = smallvec![CVec2::zeros(); highest];
     for (j, tide) in (1..).zip(&at.tide) {
         for (k, a) in (1..).zip(first) {
             rate[j + k - 1] += (tide.gradient * a) * Complex64::from(0.5);
@@ -140,29 +142,48 @@ impl MeanFlow<'_> {
             reason: "the slow initial position did not converge",
         })
     }
+}
 
-    /// Bound of `|a₁ + a₂|`, and of its rate of change, in a ball where `|Y'| ≤ speed`.
-    fn oscillation_reach(&self, center: Vec2, radius: f64, speed: f64) -> (f64, f64) {
-        let omega = self.problem.sea.omega();
-        let bounds = self.problem.sea.bounds(center, radius);
-        let first = bounds.tide / omega;
-        let first_rate = bounds.tide + (bounds.rate + bounds.gradient * speed) / omega;
-        if self.order == 1 {
-            return (first, first_rate);
-        }
-        let forcing = speed + bounds.gradient * first / 2.0 + bounds.residual;
-        let slow = (bounds.rate + bounds.gradient * forcing) / omega;
-        let second =
-            ((bounds.gradient + self.problem.drag) * first + bounds.residual + slow) / omega;
-        // `ω·second` bounds the fast rate, since 1/l is in each amplitude; the factor covers the
-        // slow change and what f₂ adds to the forcing, both a further order smaller.
-        (first + second, first_rate + 8.0 * omega * second)
+/// Adds bounds of `a₁ + a₂` and of its rate of change to the reach of the slow position.
+pub(super) fn oscillating(problem: &Problem, order: u8, slow: Reach) -> Reach {
+    let Reach { center, radius, speed } = slow;
+    let omega = problem.sea.omega();
+    let bounds = problem.sea.bounds(center, radius);
+    let first = bounds.tide / omega;
+    let first_rate = bounds.tide + (bounds.rate + bounds.gradient * speed) / omega;
+    if order == 1 {
+        return Reach { center, radius: radius + first, speed: speed + first_rate };
     }
+    let forcing = speed + bounds.gradient * first / 2.0 + bounds.residual;
+    let rate = (bounds.rate + bounds.gradient * forcing) / omega;
+    let second = ((bounds.gradient + problem.drag) * first + bounds.residual + rate) / omega;
+    // `ω·second` bounds the fast rate, since 1/l is in each amplitude; the factor covers the slow
+    // change and what f₂ adds to the forcing, both a further order smaller.
+    let second_rate = first_rate + 8.0 * omega * second;
+    Reach { center, radius: radius + first + second, speed: speed + second_rate }
 }
 
 struct MeanFlowPiece<'a> {
     flow: &'a MeanFlow<'a>,
     step: &'a Step<2>,
+}
+
+/// Hands the piece of an order-1 trajectory over one step to `visit`; the integrals of the wind are
+/// counted from the release.
+pub(super) fn with_piece<T>(
+    problem: Problem,
+    step: &Step<2>,
+    visit: impl FnOnce(&dyn Piece) -> T,
+) -> Result<T, DriftError> {
+    let wind = WindIntegrals::of_stretch(problem.wind);
+    let flow = MeanFlow { problem, wind, order: 1, invariant: problem.invariant()? };
+    Ok(visit(&MeanFlowPiece { flow: &flow, step }))
+}
+
+/// The slow position at the release, of order 1; the wind does not enter.
+pub(super) fn slow_start(problem: Problem) -> Result<Vec2, DriftError> {
+    let wind = WindIntegrals::of_stretch(problem.wind);
+    MeanFlow { problem, wind, order: 1, invariant: problem.invariant()? }.start()
 }
 
 impl MeanFlowPiece<'_> {
@@ -201,8 +222,7 @@ impl Piece for MeanFlowPiece<'_> {
         let (wind_distance, wind_speed) = self.flow.wind.reach(self.step.t, self.step.h);
         let center = self.slow(self.step.t).0;
         let (radius, speed) = (distance + wind_distance * drag, speed + wind_speed * drag);
-        let (oscillation, rate) = self.flow.oscillation_reach(center, radius, speed);
-        Reach { center, radius: radius + oscillation, speed: speed + rate }
+        oscillating(&self.flow.problem, self.flow.order, Reach { center, radius, speed })
     }
 }
 

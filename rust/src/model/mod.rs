@@ -5,6 +5,7 @@
 //! production runs use.
 
 pub mod full;
+pub mod lanes;
 pub mod mean_flow;
 pub mod paper;
 
@@ -53,6 +54,11 @@ struct WindIntegrals<'a> {
 impl<'a> WindIntegrals<'a> {
     fn new(path: &'a WindPath) -> Self {
         Self { path, at_release: path.integrals(0.0), max_speed: path.max_speed() }
+    }
+
+    /// Those of a stretch of a path whose integrals are counted from the release already.
+    fn of_stretch(path: &'a WindPath) -> Self {
+        Self { path, at_release: Default::default(), max_speed: path.max_speed() }
     }
 
     fn at(&self, t: f64) -> (Vec2, Vec2) {
@@ -201,7 +207,13 @@ fn stokes_drift(tide: &[Harmonic], omega: f64) -> Vec2 {
         .sum()
 }
 
-/// Harmonics at one time and place, freshly allocated.
+/// Mean drift of order 1, `f₁`: tidal Stokes drift and mean residual current, equations.md (10).
+fn mean_drift(at: &Harmonics, omega: f64) -> Vec2 {
+    let mean = at.residual.first().map_or(Vec2::zeros(), |mean| real(mean.amplitude));
+    stokes_drift(&at.tide, omega) + mean
+}
+
+/// Harmonics at one time and place.
 fn harmonics(sea: &dyn SeaField, t: f64, x: Vec2) -> Result<Harmonics, DriftError> {
     let mut out = Harmonics::default();
     sea.harmonics(t, x, &mut out)?;

@@ -6,33 +6,23 @@
 //! the paper's `lgb`; with `A` the least-squares predictor, `target` its standardised residual and
 //! `B = 0` it is the residual bootstrap.
 //!
-//! The weights need not be computed for all rows. The state after row `J` lies close to the
-//! state that followed `J` in the record (its *centre*), so a row is proposed from a table made
-//! once for that centre at a wider bandwidth, and accepted with the ratio of the two kernels. The
-//! ratio of two Gaussians is bounded in closed form, so the law is exactly that of the weights.
-//! A table lists the heaviest rows one by one; all rows together carry the weight of the lightest
-//! listed one once more, which covers those not listed.
+//! The weights need not be computed for all rows. The rows stand in the leaves of a k-d tree, and
+//! the box of a leaf bounds the weights in it: a leaf is drawn by these bounds, a row of the leaf
+//! evenly, and accepted with the ratio of its weight to the bound. The law is that of the weights
+//! (up to rounding in single precision of the bounds, 10⁻⁷), the work that of the number of leaves.
 
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
-use rayon::prelude::*;
 
 use crate::error::{DriftError, positive};
 use crate::field::Vec2;
+use crate::lanes::{Kernel, dispatch};
 
 /// Largest Markov order.
 pub const MAX_ORDER: usize = 8;
 const MAX_DIMENSION: usize = 2 * MAX_ORDER;
-/// Square of the ratio of the proposal's bandwidth to the kernel's.
-const WIDENING: f64 = 2.0;
-/// Rows around the expected state among which a closer centre is looked for.
-const SEARCHED: usize = 32;
-/// Most rows that a proposal table lists one by one.
-const MAX_LISTED: usize = 256;
-/// Where the log of the acceptance bound exceeds this, or after so many trials, all rows are
-/// weighed instead. A trial accepts by the law of the weights whatever went before it, so the law
-/// stays exact.
-const MAX_LOG_BOUND: f64 = 5.0;
+/// After so many trials all rows are weighed instead. A trial accepts by the law of the weights
+/// whatever went before it, so the law stays exact.
 const MAX_TRIALS: usize = 200;
 /// A row whose weight relative to the nearest row's has a log below this counts as nothing.
 const NEGLIGIBLE: f64 = -36.0;
@@ -67,23 +57,6 @@ pub struct Catalogue {
     pub bandwidth: f64,
 }
 
-/// One slot of an alias table.
-#[derive(Debug, Clone, Copy)]
-struct Slot {
-    threshold: f64,
-    own: u32,
-    other: u32,
-}
-
-/// Proposal for one centre: the heaviest rows, and an even tail over all rows that covers the
-/// others.
-#[derive(Debug, Clone)]
-struct Proposal {
-    slots: Vec<Slot>,
-    /// Squared distance to the centre, and number, of the last row listed.
-    cut: (f64, usize),
-}
-
 impl Chain {
     /// Row of the record whose successor gave the chain its present value.
     pub fn predecessor(&self) -> usize {
@@ -91,17 +64,12 @@ impl Chain {
     }
 }
 
-/// Marks the tail in a [`Slot`].
-const TAIL: u32 = u32::MAX;
-
 /// The present state of a simulation.
 #[derive(Debug, Clone)]
 pub struct Chain {
     state: State,
     /// Row of the record whose successor gave the present value.
     predecessor: usize,
-    /// The same row in the catalogue: the state is expected near its centre.
-    near: Option<usize>,
     phase: usize,
 }
 
@@ -109,14 +77,10 @@ pub struct Chain {
 #[derive(Debug, Clone)]
 pub struct Bootstrap {
     catalogue: Catalogue,
-    /// Whitened states, row by row; `columns` holds them component by component.
-    whitened: Vec<f64>,
+    /// Whitened states, component by component.
     columns: Vec<f64>,
-    centers: Vec<f64>,
-    proposals: Vec<Proposal>,
+    leaves: Leaves,
     starts: Vec<Vec<usize>>,
-    /// For each catalogue row, the catalogue row just before it in the record, if there is one.
-    predecessors: Vec<Option<usize>>,
 }
 
 impl Bootstrap {
@@ -172,7 +136,7 @@ impl Bootstrap {
                 format!("the cycle has {phases} phases"),
             ));
         }
-        if n >= TAIL as usize || catalogue.row.windows(2).any(|pair| pair[0] >= pair[1]) {
+        if n >= u32::MAX as usize || catalogue.row.windows(2).any(|pair| pair[0] >= pair[1]) {
             return Err(DriftError::invalid("row", n, "rows must increase, fewer than 2³² − 1"));
         }
         let mut starts = vec![Vec::new(); phases];
@@ -182,30 +146,18 @@ impl Bootstrap {
         if starts.iter().all(Vec::is_empty) {
             return Err(DriftError::invalid("start", "no row", "at least one row must be a start"));
         }
-        let predecessors = (0..n)
-            .map(|i| i.checked_sub(1).filter(|j| catalogue.row[*j] + 1 == catalogue.row[i]))
-            .collect();
         let mut bootstrap = Self {
             catalogue,
-            predecessors,
-            whitened: Vec::with_capacity(n * d),
             columns: Vec::with_capacity(n * d),
-            centers: Vec::with_capacity(n * d),
-            proposals: Vec::new(),
+            leaves: Leaves::default(),
             starts,
         };
-        for i in 0..n {
-            let state = bootstrap.state(i);
-            let next = bootstrap.next(&state, i, Vec2::zeros());
-            let following = bootstrap.shifted(&state, next);
-            let (here, center) = (bootstrap.whiten(&state), bootstrap.whiten(&following));
-            bootstrap.whitened.extend(&here[..d]);
-            bootstrap.centers.extend(&center[..d]);
-        }
+        let whitened: Vec<f64> =
+            (0..n).flat_map(|i| bootstrap.whiten(&bootstrap.state(i))[..d].to_vec()).collect();
         for k in 0..d {
-            bootstrap.columns.extend(bootstrap.whitened.iter().skip(k).step_by(d));
+            bootstrap.columns.extend(whitened.iter().skip(k).step_by(d));
         }
-        bootstrap.proposals = (0..n).into_par_iter().map(|i| bootstrap.proposal(i)).collect();
+        bootstrap.leaves = Leaves::cheapest(&whitened, d, bootstrap.catalogue.bandwidth);
         Ok(bootstrap)
     }
 
@@ -259,12 +211,6 @@ impl Bootstrap {
         shifted
     }
 
-    fn distance2(&self, z: &[f64], i: usize) -> f64 {
-        let d = self.dimension();
-        let row = &self.whitened[i * d..(i + 1) * d];
-        row.iter().zip(z).map(|(a, b)| (a - b) * (a - b)).sum()
-    }
-
     /// Draws a row with weight `exp(−|z − z_i|²/2h²)` by weighing all of them.
     fn weigh_all<R: Rng>(&self, z: &[f64], rng: &mut R) -> usize {
         let n = self.catalogue.row.len();
@@ -290,77 +236,11 @@ impl Bootstrap {
         chosen.or_else(|| weights.iter().rposition(|weight| *weight > 0.0)).unwrap_or(0)
     }
 
-    fn center(&self, i: usize) -> &[f64] {
-        let d = self.dimension();
-        &self.centers[i * d..(i + 1) * d]
-    }
-
-    fn proposal(&self, near: usize) -> Proposal {
-        let n = self.catalogue.row.len();
-        let mut ranked: Vec<(f64, usize)> =
-            (0..n).map(|i| (self.distance2(self.center(near), i), i)).collect();
-        let last = MAX_LISTED.min(n) - 1;
-        ranked.select_nth_unstable_by(last, closer);
-        ranked.truncate(last + 1);
-        ranked.sort_unstable_by(closer);
-        let (cut, nearest) = (ranked[last], ranked[0].0);
-        let weight = |distance2: f64| {
-            ((nearest - distance2) / (2.0 * WIDENING * self.catalogue.bandwidth.powi(2))).exp()
-        };
-        let mut entries: Vec<(f64, u32)> =
-            ranked.iter().map(|(distance2, i)| (weight(*distance2), *i as u32)).collect();
-        entries.push((weight(cut.0) * n as f64, TAIL));
-        Proposal { slots: alias_table(&entries), cut }
-    }
-
-    /// Proposes a row and its squared distance to the centre of `near`, in proportion to the
-    /// widened kernel there; nothing where the tail proposes what it must not.
-    fn propose<R: Rng>(&self, near: usize, rng: &mut R) -> Option<(usize, f64)> {
-        let Proposal { slots, cut } = &self.proposals[near];
-        let place = rng.random::<f64>() * slots.len() as f64;
-        let slot = slots[place as usize];
-        let drawn = if place.fract() < slot.threshold { slot.own } else { slot.other };
-        if drawn != TAIL {
-            return Some((drawn as usize, self.distance2(self.center(near), drawn as usize)));
-        }
-        let i = (rng.random::<f64>() * self.catalogue.row.len() as f64) as usize;
-        let distance2 = self.distance2(self.center(near), i);
-        let kept =
-            ((cut.0 - distance2) / (2.0 * WIDENING * self.catalogue.bandwidth.powi(2))).exp();
-        let listed = closer(&(distance2, i), cut).is_le();
-        (!listed && rng.random::<f64>() < kept).then_some((i, distance2))
-    }
-
-    /// The centre closest to `z` among that of `near` and those that are rows around it, with the
-    /// squared distance: the closer the centre, the fewer trials.
-    fn closest_center(&self, near: usize, z: &State) -> (usize, f64) {
-        let shift = |j: usize| self.center(j).iter().zip(z).map(|(a, b)| (a - b) * (a - b)).sum();
-        let around = self.proposals[near].slots.iter().take(SEARCHED);
-        let centers =
-            around.filter_map(|slot| self.predecessors.get(slot.own as usize)?.to_owned());
-        centers.map(|j| (j, shift(j))).fold((near, shift(near)), |best, candidate| {
-            if candidate.1 < best.1 { candidate } else { best }
-        })
-    }
-
-    /// Draws a row with weight `exp(−|z − z_i|²/2h²)`; `near` is the row drawn last, if any.
-    fn draw<R: Rng>(&self, z: &State, near: Option<usize>, rng: &mut R) -> usize {
-        let variance = self.catalogue.bandwidth.powi(2);
-        let d = self.dimension();
-        if let Some((near, shift)) = near.map(|near| self.closest_center(near, z)) {
-            let log_bound = shift / (2.0 * (WIDENING - 1.0) * variance);
-            if log_bound <= MAX_LOG_BOUND {
-                for _ in 0..MAX_TRIALS {
-                    let Some((i, distance2)) = self.propose(near, rng) else { continue };
-                    let log_ratio = distance2 / (2.0 * WIDENING * variance)
-                        - self.distance2(&z[..d], i) / (2.0 * variance);
-                    if rng.random::<f64>() < (log_ratio - log_bound).exp() {
-                        return i;
-                    }
-                }
-            }
-        }
-        self.weigh_all(&z[..d], rng)
+    /// Draws a row with weight `exp(−|z − z_i|²/2h²)`.
+    fn draw<R: Rng>(&self, z: &State, rng: &mut R, scratch: &mut Scratch) -> usize {
+        let z = &z[..self.dimension()];
+        let drawn = self.leaves.draw(z, self.catalogue.bandwidth, rng, scratch);
+        drawn.unwrap_or_else(|| self.weigh_all(z, rng))
     }
 
     /// A chain at a random row of the record, of the given phase if one is given.
@@ -387,12 +267,7 @@ impl Bootstrap {
             place -= rows.len();
         }
         let predecessor = self.catalogue.row[chosen] - 1;
-        Ok(Chain {
-            state: self.state(chosen),
-            predecessor,
-            near: self.predecessors[chosen],
-            phase: self.catalogue.phase[chosen],
-        })
+        Ok(Chain { state: self.state(chosen), predecessor, phase: self.catalogue.phase[chosen] })
     }
 
     /// Wind [m/s] of the chain's present state, mean cycle included.
@@ -402,8 +277,8 @@ impl Bootstrap {
     }
 
     /// Moves the chain by one step of the record.
-    pub fn advance<R: Rng>(&self, chain: &mut Chain, rng: &mut R) {
-        let drawn = self.draw(&self.whiten(&chain.state), chain.near, rng);
+    pub(crate) fn advance<R: Rng>(&self, chain: &mut Chain, rng: &mut R, scratch: &mut Scratch) {
+        let drawn = self.draw(&self.whiten(&chain.state), rng, scratch);
         let noise = if self.catalogue.noise.iter().all(|b| *b == 0.0) {
             Vec2::zeros()
         } else {
@@ -412,57 +287,280 @@ impl Bootstrap {
         let next = self.next(&chain.state, drawn, noise);
         chain.state = self.shifted(&chain.state, next);
         chain.predecessor = self.catalogue.row[drawn];
-        chain.near = Some(drawn);
         chain.phase = (chain.phase + 1) % self.phases();
     }
 
-    /// `count` independent draws of a record row at a fixed state, from the proposal of the row
-    /// `near` or, without it, from the weights of all rows: shows that both have one law.
+    /// `count` independent draws of a record row at a fixed state, by the leaves or by weighing all
+    /// rows: shows that both have one law.
     pub fn draws_at<R: Rng>(
         &self,
         state: &[f64],
-        near: Option<usize>,
+        weigh_all: bool,
         count: usize,
         rng: &mut R,
     ) -> Result<Vec<usize>, DriftError> {
         let d = self.dimension();
-        if state.len() != d || near.is_some_and(|near| near >= self.catalogue.row.len()) {
+        if state.len() != d {
             return Err(DriftError::invalid(
                 "state",
-                format!("{} values near row {near:?}", state.len()),
-                format!("it needs {d} values and a row of the catalogue"),
+                format!("{} values", state.len()),
+                format!("it needs {d} values"),
             ));
         }
         let mut y = [0.0; MAX_DIMENSION];
         y[..d].copy_from_slice(state);
         let z = self.whiten(&y);
-        Ok((0..count).map(|_| self.catalogue.row[self.draw(&z, near, rng)]).collect())
+        let mut scratch = Scratch::default();
+        let mut draw = || {
+            if weigh_all { self.weigh_all(&z[..d], rng) } else { self.draw(&z, rng, &mut scratch) }
+        };
+        Ok((0..count).map(|_| self.catalogue.row[draw()]).collect())
     }
 }
 
-/// Order of rows by squared distance, then by number.
-fn closer(a: &(f64, usize), b: &(f64, usize)) -> std::cmp::Ordering {
-    a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
+/// Leaves whose bounds are worked out together.
+const ABREAST: usize = 16;
+/// Most leaves.
+const MAX_LEAVES: usize = 2048;
+/// What a leaf's bound costs as a share of a trial, about: decides how many leaves are made.
+const COST_OF_BOUND: f64 = 0.005;
+
+/// One number for each of so many leaves.
+type Abreast = [f32; ABREAST];
+
+/// The rows of a catalogue in the leaves of a k-d tree, of about as many rows each.
+#[derive(Debug, Clone, Default)]
+struct Leaves {
+    /// Lowest and highest whitened state of each leaf, block by block and component by component.
+    boxes: Vec<[Abreast; 2]>,
+    /// Number of rows of each leaf, block by block; none in the last block's spare places.
+    sizes: Vec<Abreast>,
+    /// Place of each leaf's first row in `rows` and `states`.
+    first: Vec<u32>,
+    /// Catalogue rows, leaf by leaf, and their whitened states.
+    rows: Vec<u32>,
+    states: Vec<f64>,
 }
 
-/// Vose's alias method: one uniform number draws an entry with its weight.
-fn alias_table(entries: &[(f64, u32)]) -> Vec<Slot> {
-    let n = entries.len();
-    let total: f64 = entries.iter().map(|(weight, _)| weight).sum();
-    let mut share: Vec<f64> = entries.iter().map(|(w, _)| w / total * n as f64).collect();
-    let mut slots: Vec<Slot> =
-        entries.iter().map(|(_, id)| Slot { threshold: 1.0, own: *id, other: *id }).collect();
-    let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| share[*i] < 1.0);
-    while let (Some(s), Some(l)) = (small.pop(), large.last().copied()) {
-        slots[s].threshold = share[s];
-        slots[s].other = slots[l].own;
-        share[l] -= 1.0 - share[s];
-        if share[l] < 1.0 {
-            large.pop();
-            small.push(l);
+impl Leaves {
+    /// As many leaves as make a draw cheapest, by the acceptance at some states of the catalogue.
+    fn cheapest(whitened: &[f64], d: usize, bandwidth: f64) -> Self {
+        let n = whitened.len() / d;
+        let mut best: Option<(f64, Self)> = None;
+        let mut count = ABREAST;
+        while count <= MAX_LEAVES && (best.is_none() || count <= n / 2) {
+            let leaves = Self::new(whitened, d, count);
+            let stride = (n / 64).max(1);
+            let trials: f64 = (whitened.chunks_exact(d).step_by(stride))
+                .map(|z| leaves.trials(z, bandwidth))
+                .sum::<f64>()
+                / n.div_ceil(stride) as f64;
+            let cost = COST_OF_BOUND * count as f64 + trials;
+            if best.as_ref().is_some_and(|(least, _)| *least <= cost) {
+                break;
+            }
+            best = Some((cost, leaves));
+            count *= 2;
         }
+        best.map_or_else(Self::default, |(_, leaves)| leaves)
     }
-    slots
+
+    /// Halves the rows `count` times over at the median of their most varied component.
+    fn new(whitened: &[f64], d: usize, count: usize) -> Self {
+        let mut parts = vec![(0..(whitened.len() / d) as u32).collect::<Vec<u32>>()];
+        while parts.len() < count {
+            parts = (parts.into_iter()).flat_map(|rows| halves(rows, whitened, d)).collect();
+        }
+        let mut leaves = Self::default();
+        for block in parts.chunks(ABREAST) {
+            let mut sizes = [0.0; ABREAST];
+            let mut boxes = vec![[[0.0; ABREAST]; 2]; d];
+            for (place, rows) in block.iter().enumerate() {
+                sizes[place] = rows.len() as f32;
+                leaves.first.push(leaves.rows.len() as u32);
+                for (k, [low, high]) in boxes.iter_mut().enumerate() {
+                    let of = rows.iter().map(|row| whitened[*row as usize * d + k]);
+                    let (least, most) = of
+                        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+                    // Beyond what rounding to single precision can move a state.
+                    low[place] = (least - 1e-5 * (1.0 + least.abs())) as f32;
+                    high[place] = (most + 1e-5 * (1.0 + most.abs())) as f32;
+                }
+                for row in rows {
+                    leaves.rows.push(*row);
+                    let at = *row as usize * d;
+                    leaves.states.extend(&whitened[at..at + d]);
+                }
+            }
+            leaves.sizes.push(sizes);
+            leaves.boxes.extend(boxes);
+        }
+        leaves
+    }
+
+    /// Expected number of trials of a draw at the whitened state `z`.
+    fn trials(&self, z: &[f64], bandwidth: f64) -> f64 {
+        let mut scratch = Scratch::default();
+        let (nearest, totals) = self.bounds(z, bandwidth, &mut scratch);
+        let weights: f64 = (self.states.chunks_exact(z.len()))
+            .map(|state| log_weight(state, z, nearest, bandwidth).exp())
+            .sum();
+        totals.iter().map(|total| f64::from(*total)).sum::<f64>() / weights.max(f64::MIN_POSITIVE)
+    }
+
+    /// Works out the bounds of the leaves at `z`. Gives the squared distance that the weights are
+    /// relative to, and the totals of each place over the blocks.
+    fn bounds(&self, z: &[f64], bandwidth: f64, scratch: &mut Scratch) -> (f64, Abreast) {
+        let mut place = [0.0; MAX_DIMENSION];
+        for (place, z) in place.iter_mut().zip(z) {
+            *place = *z as f32;
+        }
+        let place = &place[..z.len()];
+        let scale = (-std::f64::consts::LOG2_E / (2.0 * bandwidth * bandwidth)) as f32;
+        scratch.bound.resize(self.sizes.len(), [0.0; ABREAST]);
+        scratch.sum.resize(self.sizes.len(), [0.0; ABREAST]);
+        dispatch(Bounds { boxes: &self.boxes, sizes: &self.sizes, place, scale, scratch })
+    }
+
+    /// Draws a row, or gives up after many trials.
+    fn draw<R: Rng>(
+        &self,
+        z: &[f64],
+        bandwidth: f64,
+        rng: &mut R,
+        scratch: &mut Scratch,
+    ) -> Option<usize> {
+        let (nearest, totals) = self.bounds(z, bandwidth, scratch);
+        let mut sums = [0.0; ABREAST];
+        let mut total = 0.0;
+        for (sum, of_place) in sums.iter_mut().zip(totals) {
+            total += of_place;
+            *sum = total;
+        }
+        for _ in 0..MAX_TRIALS {
+            // 24 bits choose the leaf, the other 40 the row in it.
+            let bits: u64 = rng.random();
+            let at = (bits >> 40) as f32 / (1_u32 << 24) as f32 * total;
+            let place = sums.iter().filter(|sum| **sum <= at).count();
+            let before = place.checked_sub(1).map_or(0.0, |k| sums[k]);
+            let place = place.min(ABREAST - 1);
+            let inside = at - before;
+            let block = scratch.sum.partition_point(|sum| sum[place] <= inside);
+            // Rounding of the sums may lead beyond the last leaf: then the trial is void.
+            let Some(bound) = scratch.bound.get(block) else { continue };
+            let size = self.sizes[block][place] as u64;
+            let row = ((bits & 0xff_ffff_ffff) * size) >> 40;
+            let at = self.first.get(block * ABREAST + place).map_or(0, |first| *first as usize)
+                + row as usize;
+            let state = &self.states[at * z.len()..(at + 1) * z.len()];
+            let threshold = rng.random::<f64>() * f64::from(bound[place]);
+            let exponent = log_weight(state, z, nearest, bandwidth);
+            // The exponential itself decides only where its bounds do not.
+            let above = f64::from(power_above((exponent * std::f64::consts::LOG2_E) as f32));
+            if threshold < above && (threshold * LOOSEST < above || threshold < exponent.exp()) {
+                return Some(self.rows[at] as usize);
+            }
+        }
+        None
+    }
+}
+
+/// Room for the bounds of the leaves at one state.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Scratch {
+    /// Bound of the weight of one row, block by block.
+    bound: Vec<Abreast>,
+    /// Sums over the blocks, up to each, of the bounds of all rows of a leaf.
+    sum: Vec<Abreast>,
+}
+
+/// Logarithm of a row's weight relative to that of the squared distance `nearest`.
+fn log_weight(state: &[f64], z: &[f64], nearest: f64, bandwidth: f64) -> f64 {
+    let distance2: f64 = state.iter().zip(z).map(|(a, b)| (a - b) * (a - b)).sum();
+    (nearest - distance2) / (2.0 * bandwidth * bandwidth)
+}
+
+/// The two halves of some rows, split at the median of the component that varies most.
+fn halves(mut rows: Vec<u32>, whitened: &[f64], d: usize) -> [Vec<u32>; 2] {
+    let value = |row: &u32, k: usize| whitened[*row as usize * d + k];
+    let range = |k: usize| {
+        let of = rows.iter().map(|row| value(row, k));
+        let bounds = of.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+        bounds.1 - bounds.0
+    };
+    let widest = (0..d).max_by(|a, b| range(*a).total_cmp(&range(*b))).unwrap_or(0);
+    let middle = rows.len() / 2;
+    if middle > 0 {
+        rows.select_nth_unstable_by(middle, |a, b| {
+            value(a, widest).total_cmp(&value(b, widest)).then(a.cmp(b))
+        });
+    }
+    let second = rows.split_off(middle);
+    [rows, second]
+}
+
+/// The greater of two numbers: [`f32::max`] would look out for NaN.
+#[inline(always)]
+fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// A number above `2^t`, for `t ≤ 0`, by at most 6.4 %. Between powers of two the bits of a float
+/// grow along the exponential's chord, which lies above it; a thousandth covers the rounding.
+#[inline(always)]
+fn power_above(t: f32) -> f32 {
+    // The sum has 14 bits after the point; the shift makes its integer part the exponent.
+    let fixed = greater(t, -126.0) + (127.0 + 512.0);
+    f32::from_bits((fixed.to_bits() - 512.0_f32.to_bits()) << 9) * 1.001
+}
+
+/// [`power_above`] is no more than so many times `2^t`.
+const LOOSEST: f64 = 1.064;
+
+/// Works out the bounds of all leaves.
+struct Bounds<'a> {
+    boxes: &'a [[Abreast; 2]],
+    sizes: &'a [Abreast],
+    place: &'a [f32],
+    /// `−1/(2h² ln 2)`: turns a squared distance into the binary logarithm of the kernel.
+    scale: f32,
+    scratch: &'a mut Scratch,
+}
+
+impl Kernel for Bounds<'_> {
+    type Output = (f64, Abreast);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { boxes, sizes, place, scale, scratch: Scratch { bound, sum } } = self;
+        let mut nearest = [f32::INFINITY; ABREAST];
+        for ((boxes, sizes), bound) in
+            boxes.chunks_exact(place.len()).zip(sizes).zip(bound.iter_mut())
+        {
+            let mut distance2 = [0.0; ABREAST];
+            for ([low, high], z) in boxes.iter().zip(place) {
+                for k in 0..ABREAST {
+                    let beyond = greater(greater(low[k] - z, z - high[k]), 0.0);
+                    distance2[k] += beyond * beyond;
+                }
+            }
+            for k in 0..ABREAST {
+                let known = if sizes[k] > 0.0 { distance2[k] } else { f32::INFINITY };
+                nearest[k] = if known < nearest[k] { known } else { nearest[k] };
+            }
+            *bound = distance2;
+        }
+        let nearest = nearest.into_iter().fold(f32::INFINITY, f32::min);
+        let mut total = [0.0; ABREAST];
+        for ((bound, sum), sizes) in bound.iter_mut().zip(sum).zip(sizes) {
+            for k in 0..ABREAST {
+                bound[k] = power_above((bound[k] - nearest) * scale);
+                total[k] += bound[k] * sizes[k];
+                sum[k] = total[k];
+            }
+        }
+        (f64::from(nearest), total)
+    }
 }
 
 #[cfg(test)]
@@ -470,17 +568,46 @@ mod tests {
     use super::*;
 
     #[test]
-    fn alias_table_keeps_the_weights() {
-        let entries: Vec<(f64, u32)> = (0..17).map(|k| ((k * k) as f64 + 0.3, k as u32)).collect();
-        let total: f64 = entries.iter().map(|(w, _)| w).sum();
-        let slots = alias_table(&entries);
-        let mut mass = [0.0; 17];
-        for slot in &slots {
-            mass[slot.own as usize] += slot.threshold / 17.0;
-            mass[slot.other as usize] += (1.0 - slot.threshold) / 17.0;
+    fn leaves_hold_every_row_once() {
+        let whitened: Vec<f64> = (0..4 * 333).map(|k| (0.7 * k as f64).sin()).collect();
+        let leaves = Leaves::new(&whitened, 4, 64);
+        let mut rows = leaves.rows.clone();
+        rows.sort_unstable();
+        assert!(rows.into_iter().eq(0..333));
+        let sizes: f32 = leaves.sizes.iter().flatten().sum();
+        assert_eq!(sizes, 333.0);
+    }
+
+    #[test]
+    fn power_above_is_a_close_bound() {
+        for k in 0..1_250_000 {
+            let t = -1e-4 * k as f32;
+            let (power, above) = (f64::from(t).exp2(), f64::from(power_above(t)));
+            assert!(power <= above && above <= LOOSEST * power, "{t}: {power} {above}");
         }
-        for (weight, id) in &entries {
-            assert!((mass[*id as usize] - weight / total).abs() < 1e-14);
+    }
+
+    /// The bound of a leaf is above the weight of each row in it.
+    #[test]
+    fn bounds_hold() {
+        let whitened: Vec<f64> = (0..4 * 500).map(|k| 2.0 * (0.7 * k as f64).sin()).collect();
+        let leaves = Leaves::new(&whitened, 4, 64);
+        for (bandwidth, z) in [(0.1, [0.3, -0.2, 1.0, 0.0]), (0.5, [9.0, 8.0, -7.0, 6.0])] {
+            let mut scratch = Scratch::default();
+            let (nearest, totals) = leaves.bounds(&z, bandwidth, &mut scratch);
+            assert_eq!(scratch.sum.last(), Some(&totals));
+            let mut reached = 0;
+            for leaf in 0..64 {
+                let bound = f64::from(scratch.bound[leaf / ABREAST][leaf % ABREAST]);
+                let size = leaves.sizes[leaf / ABREAST][leaf % ABREAST] as usize;
+                let first = leaves.first[leaf] as usize;
+                for state in leaves.states[4 * first..4 * (first + size)].chunks_exact(4) {
+                    let weight = log_weight(state, &z, nearest, bandwidth).exp();
+                    assert!(weight <= bound);
+                    reached += usize::from(weight > bound / 2.0);
+                }
+            }
+            assert!(reached > 0 || z[0] > 1.0);
         }
     }
 }

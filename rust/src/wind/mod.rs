@@ -5,6 +5,7 @@
 //! streams, each read in the order of time.
 
 pub mod bootstrap;
+pub mod lanes;
 pub mod path;
 pub mod small_scale;
 
@@ -15,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::error::{DriftError, positive};
 use crate::field::Vec2;
-use bootstrap::Bootstrap;
+use bootstrap::{Bootstrap, Chain, Scratch};
 use path::WindPath;
 use small_scale::SmallScale;
 
@@ -83,6 +84,61 @@ impl WindGenerator {
         Ok(Self { bootstrap, small_scale, step, unit, lead_in, phase })
     }
 
+    /// The wind of one member, ready to be drawn from `−lead_in` steps on.
+    pub(crate) fn member(&self, seed: u64, member: u64) -> Result<MemberWind, DriftError> {
+        let mut synoptic = stream(seed, member, Stream::Synoptic);
+        let mut coarse = stream(seed, member, Stream::SmallScale);
+        let chain = self.bootstrap.start(self.phase, &mut synoptic)?;
+        Ok(MemberWind {
+            slow: self.bootstrap.wind(&chain) / self.unit,
+            fast: self.small_scale.start(&mut coarse),
+            fine: stream(seed, member, Stream::FinePath),
+            chain,
+            synoptic,
+            coarse,
+        })
+    }
+
+    /// Synoptic steps drawn before time 0.
+    pub(crate) fn lead_in(&self) -> usize {
+        self.lead_in
+    }
+
+    /// Spacing of a path's knots, and how many of them one synoptic step holds.
+    pub(crate) fn knots(&self, sampling: Sampling) -> (f64, usize) {
+        let substeps = match sampling {
+            Sampling::Coarse => 1,
+            Sampling::Fine => self.small_scale.substeps(),
+        };
+        (self.step / substeps as f64, substeps)
+    }
+
+    /// Draws one synoptic step: the wind at its knots but the last goes to `knots`, and for coarse
+    /// sampling the integral over the step is returned.
+    pub(crate) fn draw(
+        &self,
+        wind: &mut MemberWind,
+        sampling: Sampling,
+        knots: &mut Vec<Vec2>,
+        scratch: &mut Scratch,
+    ) -> Vec2 {
+        let (slow, fast) = (wind.slow, wind.fast);
+        self.bootstrap.advance(&mut wind.chain, &mut wind.synoptic, scratch);
+        wind.slow = self.bootstrap.wind(&wind.chain) / self.unit;
+        let (fast_next, fast_integral) = self.small_scale.advance(fast, &mut wind.coarse);
+        wind.fast = fast_next;
+        knots.push(slow + fast);
+        if sampling == Sampling::Fine {
+            let first = knots.len();
+            self.small_scale.fill(fast, (fast_next, fast_integral), &mut wind.fine, knots);
+            let share = 1.0 / self.small_scale.substeps() as f64;
+            for (k, w) in knots[first..].iter_mut().enumerate() {
+                *w += slow.lerp(&wind.slow, (k + 1) as f64 * share);
+            }
+        }
+        (slow + wind.slow) * (self.step / 2.0) + fast_integral
+    }
+
     /// The path of one member from `−lead_in` steps to `end`.
     pub fn path(
         &self,
@@ -92,51 +148,40 @@ impl WindGenerator {
         sampling: Sampling,
     ) -> Result<WindPath, DriftError> {
         let steps = self.lead_in + (end / self.step - 1e-9).ceil().max(1.0) as usize;
-        let mut synoptic = stream(seed, member, Stream::Synoptic);
-        let mut coarse = stream(seed, member, Stream::SmallScale);
-        let mut fine = stream(seed, member, Stream::FinePath);
         let start = -(self.lead_in as f64) * self.step;
-
-        let mut chain = self.bootstrap.start(self.phase, &mut synoptic)?;
-        let mut slow = self.bootstrap.wind(&chain) / self.unit;
-        let mut fast = self.small_scale.start(&mut coarse);
-        let substeps = match sampling {
-            Sampling::Coarse => 1,
-            Sampling::Fine => self.small_scale.substeps(),
-        };
+        let (spacing, substeps) = self.knots(sampling);
+        let mut wind = self.member(seed, member)?;
         let mut velocity = Vec::with_capacity(steps * substeps + 1);
-        let mut integrals = Vec::with_capacity(steps);
-        let mut inside = Vec::with_capacity(substeps);
-        for _ in 0..steps {
-            velocity.push(slow + fast);
-            self.bootstrap.advance(&mut chain, &mut synoptic);
-            let slow_next = self.bootstrap.wind(&chain) / self.unit;
-            let (fast_next, fast_integral) = self.small_scale.advance(fast, &mut coarse);
-            match sampling {
-                Sampling::Coarse => {
-                    integrals.push((slow + slow_next) * (self.step / 2.0) + fast_integral);
-                }
-                Sampling::Fine => {
-                    inside.clear();
-                    self.small_scale.fill(fast, (fast_next, fast_integral), &mut fine, &mut inside);
-                    velocity.extend(
-                        inside.iter().enumerate().map(|(k, w)| {
-                            w + slow.lerp(&slow_next, (k + 1) as f64 / substeps as f64)
-                        }),
-                    );
-                }
-            }
-            (slow, fast) = (slow_next, fast_next);
-        }
-        velocity.push(slow + fast);
+        let mut scratch = Scratch::default();
+        let integrals: Vec<Vec2> = (0..steps)
+            .map(|_| self.draw(&mut wind, sampling, &mut velocity, &mut scratch))
+            .collect();
+        velocity.push(wind.velocity());
         match sampling {
-            Sampling::Coarse => WindPath::from_coarse(start, self.step, velocity, &integrals),
+            Sampling::Coarse => WindPath::from_coarse(start, spacing, velocity, &integrals),
             Sampling::Fine => {
-                let fine_step = self.step / substeps as f64;
-                let times = (0..velocity.len()).map(|k| start + k as f64 * fine_step).collect();
+                let times = (0..velocity.len()).map(|k| start + k as f64 * spacing).collect();
                 WindPath::new(times, velocity)
             }
         }
+    }
+}
+
+/// What one member's wind has come to, with its random streams.
+#[derive(Debug, Clone)]
+pub(crate) struct MemberWind {
+    chain: Chain,
+    slow: Vec2,
+    fast: Vec2,
+    synoptic: ChaCha8Rng,
+    coarse: ChaCha8Rng,
+    fine: ChaCha8Rng,
+}
+
+impl MemberWind {
+    /// The wind at the last knot drawn.
+    pub(crate) fn velocity(&self) -> Vec2 {
+        self.slow + self.fast
     }
 }
 
@@ -149,12 +194,13 @@ pub fn sample(
     phase: Option<usize>,
 ) -> Result<SynopticSample, DriftError> {
     let mut sample = SynopticSample::default();
+    let mut scratch = Scratch::default();
     for member in members {
         let mut rng = stream(seed, member, Stream::Synoptic);
         let mut chain = bootstrap.start(phase, &mut rng)?;
         for step in 0..steps {
             if step > 0 {
-                bootstrap.advance(&mut chain, &mut rng);
+                bootstrap.advance(&mut chain, &mut rng, &mut scratch);
             }
             sample.wind.push(bootstrap.wind(&chain));
             sample.predecessor.push(chain.predecessor());

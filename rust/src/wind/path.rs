@@ -1,5 +1,7 @@
 //! A wind uniform in space, known at knots, with its exact integrals in time.
 
+use std::sync::LazyLock;
+
 use crate::error::{DriftError, positive};
 use crate::field::Vec2;
 
@@ -50,7 +52,8 @@ impl WindPath {
         let step = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
         let regular = (times.iter().enumerate())
             .all(|(k, t)| (t - times[0] - k as f64 * step).abs() <= 1e-9 * step);
-        Ok(Self::with_integrals(times, velocity, Vec::new(), regular.then_some(step)))
+        let spacing = regular.then_some(step);
+        Ok(Self::with_integrals(times, velocity, Vec::new(), spacing, [Vec2::zeros(); 3]))
     }
 
     /// Path through `velocity` at `start + k·step`, whose integral over interval `k` is
@@ -66,7 +69,34 @@ impl WindPath {
             .map(|(pair, integral)| integral / step - (pair[0] + pair[1]) / 2.0)
             .collect();
         let times = (0..velocity.len()).map(|k| start + k as f64 * step).collect();
-        Ok(Self::with_integrals(times, velocity, excess, Some(step)))
+        Ok(Self::with_integrals(times, velocity, excess, Some(step), [Vec2::zeros(); 3]))
+    }
+
+    /// No wind at any time.
+    pub fn calm() -> &'static Self {
+        static CALM: LazyLock<WindPath> = LazyLock::new(|| {
+            WindPath::stretch(0.0, 1.0, vec![Vec2::zeros(); 2], Vec::new(), [Vec2::zeros(); 2])
+        });
+        &CALM
+    }
+
+    /// A stretch of a path at `start + k·step`, with the excess of each interval's mean over its
+    /// chord's (none where it is linear), that had the integrals `before` at its first knot.
+    pub(crate) fn stretch(
+        start: f64,
+        step: f64,
+        velocity: Vec<Vec2>,
+        excess: Vec<Vec2>,
+        before: [Vec2; 2],
+    ) -> Self {
+        let times = (0..velocity.len()).map(|k| start + k as f64 * step).collect();
+        Self::with_integrals(
+            times,
+            velocity,
+            excess,
+            Some(step),
+            [before[0], before[1], Vec2::zeros()],
+        )
     }
 
     fn with_integrals(
@@ -74,10 +104,11 @@ impl WindPath {
         velocity: Vec<Vec2>,
         excess: Vec<Vec2>,
         spacing: Option<f64>,
+        before: [Vec2; 3],
     ) -> Self {
         let mut path = Self { times, velocity, excess, integrals: Vec::new(), spacing };
         path.integrals.reserve(path.times.len());
-        path.integrals.push([Vec2::zeros(); 3]);
+        path.integrals.push(before);
         for i in 0..path.times.len() - 1 {
             let h = path.times[i + 1] - path.times[i];
             path.integrals.push([path.single(i, h), path.double(i, h), path.triple(i, h)]);

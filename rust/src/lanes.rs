@@ -1,0 +1,135 @@
+//! Numbers of several members side by side, so that one instruction serves many of them.
+//!
+//! Plain arrays and loops: the compiler turns them into vector instructions, and [`dispatch`]
+//! picks the widest set of the processor at run time. Only additions, multiplications and
+//! comparisons are used, never fused, so that every instruction set gives the same bits.
+
+use std::ops::{Add, AddAssign, Mul, Sub};
+
+use crate::field::Vec2;
+
+/// Members followed side by side.
+pub const WIDTH: usize = 16;
+
+/// One number of each member.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(align(64))]
+pub struct Lanes(pub [f64; WIDTH]);
+
+/// A plane vector of each member.
+pub type LaneVec2 = [Lanes; 2];
+
+impl Lanes {
+    /// Zero in every lane.
+    pub const ZERO: Self = Self([0.0; WIDTH]);
+
+    /// The same number in every lane.
+    #[inline(always)]
+    pub fn splat(value: f64) -> Self {
+        Self([value; WIDTH])
+    }
+
+    #[inline(always)]
+    fn zip(mut self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        for (a, b) in self.0.iter_mut().zip(other.0) {
+            *a = f(*a, b);
+        }
+        self
+    }
+
+    /// The greater of two numbers, lane by lane; `other` where `self` is not a number.
+    #[inline(always)]
+    pub fn max(self, other: Self) -> Self {
+        self.zip(other, |a, b| if a > b { a } else { b })
+    }
+
+    /// Magnitude.
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        Self(self.0.map(f64::abs))
+    }
+}
+
+impl Add for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.zip(other, |a, b| a + b)
+    }
+}
+
+impl AddAssign for Lanes {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl Sub for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.zip(other, |a, b| a - b)
+    }
+}
+
+impl Mul for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.zip(other, |a, b| a * b)
+    }
+}
+
+impl Mul<f64> for Lanes {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(mut self, factor: f64) -> Self {
+        for a in &mut self.0 {
+            *a *= factor;
+        }
+        self
+    }
+}
+
+/// The vector of one lane.
+#[inline(always)]
+pub fn lane(of: &LaneVec2, lane: usize) -> Vec2 {
+    Vec2::new(of[0].0[lane], of[1].0[lane])
+}
+
+/// Puts a vector into one lane.
+#[inline(always)]
+pub fn set_lane(of: &mut LaneVec2, lane: usize, value: Vec2) {
+    of[0].0[lane] = value.x;
+    of[1].0[lane] = value.y;
+}
+
+/// The same vector in every lane.
+pub fn splat(value: Vec2) -> LaneVec2 {
+    [Lanes::splat(value.x), Lanes::splat(value.y)]
+}
+
+/// Code that is compiled once for each instruction set; its method must be `inline(always)`.
+pub trait Kernel {
+    /// What it gives.
+    type Output;
+    /// The code itself.
+    fn run(self) -> Self::Output;
+}
+
+struct Dispatched<K>(K);
+
+impl<K: Kernel> pulp::WithSimd for Dispatched<K> {
+    type Output = K::Output;
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> K::Output {
+        self.0.run()
+    }
+}
+
+/// Runs a kernel with the widest instructions that this processor has.
+#[inline]
+pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
+    pulp::Arch::new().dispatch(Dispatched(kernel))
+}

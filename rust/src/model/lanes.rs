@@ -1,0 +1,408 @@
+//! Steps of several members side by side: Dormand–Prince on a time grid that all share.
+//!
+//! Both the full model in rewrite B and the mean-flow expansion of order 1 have the form
+//! `X' = g(t, X) + Q(0) + Λ∫W − ΛX` (the sea's velocity, or its mean drift, for `g`): equations.md
+//! (5), (8). As in [`super::full`] the integrator works on `P = X − Λ∬W`, so that only `∬W` enters.
+//! The sea's factors of time are worked out once for all lanes.
+
+use nalgebra::Matrix2;
+
+use super::{Formulation, Model, Piece, Problem, Reach, harmonics, mean_drift};
+use crate::dopri5::{A, B, C, D, E, Step, powers};
+use crate::error::DriftError;
+use crate::field::{SeaField, Vec2};
+use crate::lanes::{Kernel, LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
+use crate::wind::lanes::{LaneWind, WindView};
+
+/// What carries the body in a model that steps side by side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Carrier {
+    /// The sea's velocity: the full model.
+    Velocity,
+    /// The mean drift of order 1: tidal Stokes drift and mean residual current.
+    MeanDrift,
+}
+
+impl Carrier {
+    /// The carrier of a model, if it can step side by side.
+    pub fn of(model: Model) -> Option<Self> {
+        match model {
+            Model::Full(Formulation::B) => Some(Self::Velocity),
+            Model::MeanFlow { order: 1 } => Some(Self::MeanDrift),
+            _ => None,
+        }
+    }
+
+    /// Longest step as a share of the tide period.
+    pub fn max_step(self) -> f64 {
+        match self {
+            Self::Velocity => super::full::MAX_STEP,
+            Self::MeanDrift => super::mean_flow::MAX_STEP,
+        }
+    }
+
+    /// Where the integration of this carrier starts: the release, or the slow position there.
+    pub fn start(self, problem: Problem) -> Result<Vec2, DriftError> {
+        match self {
+            Self::Velocity => Ok(problem.position),
+            Self::MeanDrift => super::mean_flow::slow_start(problem),
+        }
+    }
+
+    /// Hands the piece of one member's trajectory over a step to `visit`; `problem.wind` need only
+    /// cover the step, its integrals counted from the release.
+    pub fn with_piece<T>(
+        self,
+        problem: Problem,
+        step: &Step<2>,
+        visit: impl FnOnce(&dyn Piece) -> T,
+    ) -> Result<T, DriftError> {
+        match self {
+            Self::Velocity => super::full::with_piece(problem, step, visit),
+            Self::MeanDrift => super::mean_flow::with_piece(problem, step, visit),
+        }
+    }
+
+    /// The reach of a member, its tidal oscillation included.
+    pub fn oscillating(self, problem: &Problem, reach: Reach) -> Reach {
+        match self {
+            Self::Velocity => reach,
+            Self::MeanDrift => super::mean_flow::oscillating(problem, 1, reach),
+        }
+    }
+
+    /// `g(t, x)`.
+    fn at(self, sea: &dyn SeaField, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+        match self {
+            Self::Velocity => sea.velocity(t, x),
+            Self::MeanDrift => Ok(mean_drift(&harmonics(sea, t, x)?, sea.omega())),
+        }
+    }
+}
+
+/// Times of the stages of a step; the last is that of the next step's first.
+fn stage_times(t: f64, h: f64) -> [f64; 6] {
+    [t, t + C[0] * h, t + C[1] * h, t + C[2] * h, t + C[3] * h, t + C[4] * h]
+}
+
+/// The common time grid, with what depends on time alone.
+pub struct Grid {
+    carrier: Carrier,
+    steps: usize,
+    h: f64,
+    drag: f64,
+    /// For a sea linear in the position, `∇g − Λ` at the stages of each step, row by row.
+    linear: Vec<[[f64; 4]; 6]>,
+}
+
+impl Grid {
+    /// As many equal steps as bring them to `longest` tide periods or below.
+    pub fn new(
+        carrier: Carrier,
+        sea: &dyn SeaField,
+        duration: f64,
+        drag: f64,
+        longest: f64,
+    ) -> Result<Self, DriftError> {
+        let steps = (duration / (longest * sea.period()) - 1e-9).ceil().max(1.0);
+        let h = duration / steps;
+        let steps = steps as usize;
+        let mut linear = Vec::new();
+        if sea.is_linear() {
+            let matrix = |t: f64| -> Result<[f64; 4], DriftError> {
+                let (x, y) = (Vec2::new(1.0, 0.0), Vec2::new(0.0, 1.0));
+                let columns = [carrier.at(sea, t, x)?, carrier.at(sea, t, y)?];
+                let m = Matrix2::from_columns(&columns) - Matrix2::identity() * drag;
+                Ok([m.m11, m.m12, m.m21, m.m22])
+            };
+            for n in 0..steps {
+                let mut stages = [[0.0; 4]; 6];
+                for (m, t) in stages.iter_mut().zip(stage_times(n as f64 * h, h)) {
+                    *m = matrix(t)?;
+                }
+                linear.push(stages);
+            }
+        }
+        Ok(Self { carrier, steps, h, drag, linear })
+    }
+
+    /// Number of steps.
+    pub fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// Start and end of step `n`.
+    pub fn span(&self, n: usize) -> (f64, f64) {
+        (n as f64 * self.h, (n + 1) as f64 * self.h)
+    }
+}
+
+/// A group of members at one time.
+pub struct State {
+    /// `P = X − Λ∬W`, or the same of the slow position.
+    pub p: LaneVec2,
+    /// `Q(0)`.
+    invariant: LaneVec2,
+    /// Slopes of `P` at the stages of the last step; the last is the first of the next.
+    pub stages: [LaneVec2; 7],
+    /// Above 0 where the error of a step was estimated above the tolerance, or is not a number.
+    excess_error: Lanes,
+    /// Where the sea was asked beyond its data.
+    lost: [bool; WIDTH],
+}
+
+/// How far the members of a group can have moved within a step, without the tidal oscillation.
+pub struct LaneReach {
+    center: LaneVec2,
+    radius: Lanes,
+    speed: Lanes,
+}
+
+impl LaneReach {
+    /// That of one member.
+    pub fn of(&self, place: usize) -> Reach {
+        Reach {
+            center: lane(&self.center, place),
+            radius: self.radius.0[place],
+            speed: self.speed.0[place],
+        }
+    }
+}
+
+impl State {
+    /// All members at one place.
+    pub fn new(grid: &Grid, problem: &Problem, start: Vec2) -> Result<Self, DriftError> {
+        let invariant = problem.invariant()?;
+        let first = grid.carrier.at(problem.sea, 0.0, start)? + invariant - start * grid.drag;
+        let mut stages = [[Lanes::ZERO; 2]; 7];
+        stages[6] = crate::lanes::splat(first);
+        Ok(Self {
+            p: crate::lanes::splat(start),
+            invariant: crate::lanes::splat(invariant),
+            stages,
+            excess_error: Lanes::ZERO,
+            lost: [false; WIDTH],
+        })
+    }
+
+    /// Whether a member's steps up to now cannot be relied on.
+    pub fn failed(&self, place: usize) -> bool {
+        let sound = self.excess_error.0[place] <= 0.0
+            && self.p[0].0[place].is_finite()
+            && self.p[1].0[place].is_finite();
+        self.lost[place] || !sound
+    }
+
+    /// One member's last step, from `t` on, where it began at `p`.
+    pub fn one_step(&self, grid: &Grid, n: usize, p: &LaneVec2, place: usize) -> Step<2> {
+        let (t, end) = grid.span(n);
+        let stages = self.stages.map(|k| lane(&k, place));
+        Step {
+            t,
+            h: end - t,
+            end,
+            y: lane(p, place),
+            y_end: lane(&self.p, place),
+            powers: powers(&stages, grid.h),
+        }
+    }
+
+    /// Whether any member's steps up to now cannot be relied on.
+    pub fn any_failed(&self) -> bool {
+        (0..WIDTH).any(|place| self.failed(place))
+    }
+
+    /// Goes through step `n`; `tolerance` is (relative, absolute), none to take every step as it
+    /// is. With `bounded`, tells how far the members can have moved.
+    pub fn step(
+        &mut self,
+        grid: &Grid,
+        sea: &dyn SeaField,
+        wind: &LaneWind,
+        n: usize,
+        tolerance: Option<(f64, f64)>,
+        bounded: bool,
+    ) -> Stepped {
+        let t = n as f64 * grid.h;
+        let q = self.invariant;
+        let common = Common { grid, wind: wind.view(), t, tolerance, bounded, state: &mut *self };
+        if let Some(matrices) = grid.linear.get(n) {
+            return dispatch(StepKernel { field: Linear { matrices, q }, common });
+        }
+        let field = Anywhere {
+            sea,
+            carrier: grid.carrier,
+            drag: grid.drag,
+            times: stage_times(t, grid.h),
+            q,
+            lost: [false; WIDTH],
+        };
+        let (stepped, lost) = dispatch(WithLost(StepKernel { field, common }));
+        for (all, lost) in self.lost.iter_mut().zip(lost) {
+            *all |= lost;
+        }
+        stepped
+    }
+}
+
+/// What a step gives: the wind's integrals at its end, and how far the members can have moved.
+pub struct Stepped {
+    /// To be given to [`LaneWind::go_on`].
+    pub wind: (usize, [LaneVec2; 2]),
+    /// Bounds, if they were asked for.
+    pub reach: Option<LaneReach>,
+}
+
+/// The right-hand side without the wind, at the stages of one step.
+trait StageField {
+    fn rate(&mut self, stage: usize, x: LaneVec2) -> LaneVec2;
+}
+
+/// A sea linear in the position.
+struct Linear<'a> {
+    matrices: &'a [[f64; 4]; 6],
+    q: LaneVec2,
+}
+
+impl StageField for Linear<'_> {
+    #[inline(always)]
+    fn rate(&mut self, stage: usize, x: LaneVec2) -> LaneVec2 {
+        let [xx, xy, yx, yy] = self.matrices[stage];
+        [x[0] * xx + x[1] * xy + self.q[0], x[0] * yx + x[1] * yy + self.q[1]]
+    }
+}
+
+/// Any sea, asked member by member.
+struct Anywhere<'a> {
+    sea: &'a dyn SeaField,
+    carrier: Carrier,
+    drag: f64,
+    times: [f64; 6],
+    q: LaneVec2,
+    lost: [bool; WIDTH],
+}
+
+impl StageField for Anywhere<'_> {
+    #[inline(always)]
+    fn rate(&mut self, stage: usize, x: LaneVec2) -> LaneVec2 {
+        let mut rate = [Lanes::ZERO; 2];
+        let t = self.times[stage];
+        for place in 0..WIDTH {
+            match self.carrier.at(self.sea, t, lane(&x, place)) {
+                Ok(velocity) => set_lane(&mut rate, place, velocity),
+                Err(_) => self.lost[place] = true,
+            }
+        }
+        for k in 0..2 {
+            rate[k] = rate[k] + self.q[k] - x[k] * self.drag;
+        }
+        rate
+    }
+}
+
+struct Common<'a> {
+    grid: &'a Grid,
+    wind: WindView<'a>,
+    t: f64,
+    tolerance: Option<(f64, f64)>,
+    bounded: bool,
+    state: &'a mut State,
+}
+
+struct StepKernel<'a, F> {
+    field: F,
+    common: Common<'a>,
+}
+
+/// Gives back what the field noted as well.
+struct WithLost<'a>(StepKernel<'a, Anywhere<'a>>);
+
+impl Kernel for WithLost<'_> {
+    type Output = (Stepped, [bool; WIDTH]);
+    #[inline(always)]
+    fn run(mut self) -> Self::Output {
+        let stepped = self.0.go();
+        (stepped, self.0.field.lost)
+    }
+}
+
+impl Kernel for StepKernel<'_, Linear<'_>> {
+    type Output = Stepped;
+    #[inline(always)]
+    fn run(mut self) -> Stepped {
+        self.go()
+    }
+}
+
+/// `Σ weight·k` of the stages that count.
+#[inline(always)]
+fn weighted(weights: &[f64], k: &[LaneVec2; 7], h: f64, component: usize) -> Lanes {
+    let mut sum = k[0][component] * (weights[0] * h);
+    for (weight, k) in weights.iter().zip(k).skip(1) {
+        if *weight != 0.0 {
+            sum += k[component] * (*weight * h);
+        }
+    }
+    sum
+}
+
+impl<F: StageField> StepKernel<'_, F> {
+    #[inline(always)]
+    fn go(&mut self) -> Stepped {
+        let Common { grid, wind, t, tolerance, bounded, state } = &mut self.common;
+        let (h, drag, t) = (grid.h, grid.drag, *t);
+        let times = stage_times(t, h);
+        let mut walk = wind.walk();
+        let blown = bounded.then(|| (walk.integral(t), walk.double_integral(t, drag)));
+        let mut forcing = [[Lanes::ZERO; 2]; 5];
+        for (forcing, t) in forcing.iter_mut().zip(&times[1..]) {
+            *forcing = walk.double_integral(*t, drag);
+        }
+        let p = state.p;
+        let k = &mut state.stages;
+        k[0] = k[6];
+        macro_rules! stage {
+            ($stage:literal) => {{
+                let mut x = [Lanes::ZERO; 2];
+                for c in 0..2 {
+                    x[c] = p[c] + weighted(A[$stage - 1], k, h, c) + forcing[$stage - 1][c];
+                }
+                k[$stage] = self.field.rate($stage, x);
+            }};
+        }
+        stage!(1);
+        stage!(2);
+        stage!(3);
+        stage!(4);
+        stage!(5);
+        let mut end = [Lanes::ZERO; 2];
+        for c in 0..2 {
+            end[c] = p[c] + weighted(&B, k, h, c);
+        }
+        k[6] = self.field.rate(5, [end[0] + forcing[4][0], end[1] + forcing[4][1]]);
+        if let Some((rtol, atol)) = tolerance {
+            for c in 0..2 {
+                let error = weighted(&E, k, h, c).abs();
+                let allowed = p[c].abs().max(end[c].abs()) * *rtol + Lanes::splat(*atol);
+                state.excess_error = state.excess_error.max(error - allowed);
+            }
+        }
+        let reach = blown.map(|(single, double)| {
+            let (mut distance, mut speed) = (Lanes::ZERO, Lanes::ZERO);
+            for power in 0..4 {
+                let weights = D.map(|weights| weights[power]);
+                let size = weighted(&weights, k, h, 0).abs() + weighted(&weights, k, h, 1).abs();
+                distance += size;
+                speed += size * ((power + 1) as f64 / h);
+            }
+            let blown = single[0].abs() + single[1].abs() + wind.max_speed(times[5]) * h;
+            LaneReach {
+                center: [p[0] + double[0], p[1] + double[1]],
+                radius: distance + blown * (h * drag),
+                speed: speed + blown * drag,
+            }
+        });
+        state.p = end;
+        Stepped { wind: walk.end(), reach }
+    }
+}

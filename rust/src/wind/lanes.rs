@@ -1,0 +1,445 @@
+//! Winds of several members side by side, on common regular knots, with the integrals that a step
+//! of all of them needs: equations.md (21), summed from knot to knot.
+
+use super::bootstrap::Scratch;
+use super::path::WindPath;
+use super::{MemberWind, Sampling, WindGenerator};
+use crate::error::{DriftError, positive};
+use crate::field::Vec2;
+use crate::lanes::{LaneVec2, Lanes, WIDTH, lane, set_lane};
+
+/// Winds of an ensemble in memory, on common regular knots, [`WIDTH`] members to a block.
+#[derive(Debug, Clone)]
+pub struct WindPaths {
+    start: f64,
+    spacing: f64,
+    knots: usize,
+    members: usize,
+    /// Block by block, knot by knot.
+    blocks: Vec<LaneVec2>,
+}
+
+impl WindPaths {
+    /// `velocity(member, knot)` at `start + knot·spacing`.
+    pub fn new(
+        start: f64,
+        spacing: f64,
+        [members, knots]: [usize; 2],
+        velocity: impl Fn(usize, usize) -> Vec2,
+    ) -> Result<Self, DriftError> {
+        positive("wind paths' spacing", spacing)?;
+        if members == 0 || knots < 2 {
+            return Err(DriftError::invalid(
+                "wind paths",
+                format!("{members} members, {knots} knots"),
+                "they need at least 1 member and 2 knots",
+            ));
+        }
+        let groups = members.div_ceil(WIDTH);
+        let mut blocks = vec![[Lanes::ZERO; 2]; groups * knots];
+        for (group, block) in blocks.chunks_exact_mut(knots).enumerate() {
+            for (knot, values) in block.iter_mut().enumerate() {
+                for place in 0..WIDTH {
+                    let member = group * WIDTH + place;
+                    if member < members {
+                        set_lane(values, place, velocity(member, knot));
+                    }
+                }
+            }
+        }
+        Ok(Self { start, spacing, knots, members, blocks })
+    }
+
+    /// Number of members.
+    pub fn members(&self) -> usize {
+        self.members
+    }
+
+    /// Time of the last knot.
+    pub fn end(&self) -> f64 {
+        self.start + (self.knots - 1) as f64 * self.spacing
+    }
+
+    /// Fails unless the paths cover `[start, end]`, up to rounding.
+    pub fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
+        let slack = 1e-9 * (end - start);
+        if self.start <= start + slack && self.end() >= end - slack {
+            return Ok(());
+        }
+        Err(DriftError::WindTooShort {
+            start: self.start,
+            end: self.end(),
+            need_start: start,
+            need_end: end,
+        })
+    }
+
+    fn block(&self, group: usize) -> &[LaneVec2] {
+        &self.blocks[group * self.knots..(group + 1) * self.knots]
+    }
+
+    /// The path of one member.
+    pub fn path(&self, member: usize) -> Result<WindPath, DriftError> {
+        if member >= self.members {
+            return Err(DriftError::invalid("member", member, "it has no wind path"));
+        }
+        let times = (0..self.knots).map(|k| self.start + k as f64 * self.spacing).collect();
+        let knots = self.block(member / WIDTH).iter();
+        WindPath::new(times, knots.map(|values| lane(values, member % WIDTH)).collect())
+    }
+}
+
+/// Where the wind of a group of members comes from.
+enum Source<'a> {
+    InMemory(&'a [LaneVec2]),
+    Drawn {
+        generator: &'a WindGenerator,
+        sampling: Sampling,
+        members: Vec<MemberWind>,
+        velocity: Vec<LaneVec2>,
+        /// Excess of each interval's mean over the chord's; empty for fine sampling.
+        excess: Vec<LaneVec2>,
+        /// One member's knots of one synoptic step.
+        knots: Vec<Vec2>,
+        scratch: Scratch,
+    },
+}
+
+/// The wind of a group of members, walked through in the order of time.
+pub struct LaneWind<'a> {
+    source: Source<'a>,
+    spacing: f64,
+    /// Time of the first knot held.
+    start: f64,
+    /// The knot up to which the integrals have been summed, among those held.
+    base: usize,
+    /// ∫W and ∬W from the release to that knot, in units of the spacing and of its square.
+    sums: [LaneVec2; 2],
+}
+
+/// Knots that have been passed are dropped when there are so many of them.
+const KEPT_KNOTS: usize = 1024;
+
+impl<'a> LaneWind<'a> {
+    /// Members `WIDTH·group` and following, in memory.
+    pub fn in_memory(paths: &'a WindPaths, group: usize) -> Self {
+        let source = Source::InMemory(paths.block(group));
+        let mut wind = Self {
+            source,
+            spacing: paths.spacing,
+            start: paths.start,
+            base: 0,
+            sums: [[Lanes::ZERO; 2]; 2],
+        };
+        // From the first knot to the release, which becomes the origin of the integrals.
+        wind.base = wind.place(0.0).0;
+        let u = wind.place(0.0).1;
+        let (single, double) = wind.view().within(wind.base, u);
+        for k in 0..2 {
+            wind.sums[0][k] = Lanes::ZERO - single[k];
+            wind.sums[1][k] = single[k] * u - double[k];
+        }
+        wind
+    }
+
+    /// Members `first` and following, drawn.
+    pub fn drawn(
+        generator: &'a WindGenerator,
+        seed: u64,
+        members: std::ops::Range<u64>,
+        sampling: Sampling,
+    ) -> Result<Self, DriftError> {
+        let (mut knots, mut scratch) = (Vec::new(), Scratch::default());
+        let mut velocity = vec![[Lanes::ZERO; 2]];
+        let members = (0..)
+            .zip(members)
+            .map(|(place, member)| {
+                let mut wind = generator.member(seed, member)?;
+                for _ in 0..generator.lead_in() {
+                    knots.clear();
+                    generator.draw(&mut wind, sampling, &mut knots, &mut scratch);
+                }
+                set_lane(&mut velocity[0], place, wind.velocity());
+                Ok(wind)
+            })
+            .collect::<Result<_, DriftError>>()?;
+        let spacing = generator.knots(sampling).0;
+        let source = Source::Drawn {
+            generator,
+            sampling,
+            members,
+            velocity,
+            excess: Vec::new(),
+            knots,
+            scratch,
+        };
+        Ok(Self { source, spacing, start: 0.0, base: 0, sums: [[Lanes::ZERO; 2]; 2] })
+    }
+
+    /// Sees to it that the wind is known up to time `t`, for the members `wanted`.
+    pub fn draw_until(&mut self, t: f64, wanted: &[bool; WIDTH]) {
+        let needed = ((t - self.start) / self.spacing - 1e-9).ceil();
+        let Source::Drawn { generator, sampling, members, velocity, excess, knots, scratch } =
+            &mut self.source
+        else {
+            return;
+        };
+        let per_step = generator.knots(*sampling).1;
+        while velocity.len() <= needed.max(1.0) as usize {
+            if self.base > KEPT_KNOTS {
+                velocity.drain(..self.base);
+                excess.drain(..self.base.min(excess.len()));
+                self.start += self.base as f64 * self.spacing;
+                self.base = 0;
+                return self.draw_until(t, wanted);
+            }
+            let first = velocity.len() - 1;
+            let last = velocity[first];
+            velocity.resize(first + per_step + 1, last);
+            if *sampling == Sampling::Coarse {
+                excess.resize(first + 1, [Lanes::ZERO; 2]);
+            }
+            for (place, member) in members.iter_mut().enumerate().filter(|(k, _)| wanted[*k]) {
+                knots.clear();
+                let now = member.velocity();
+                let integral = generator.draw(member, *sampling, knots, scratch);
+                let next = member.velocity();
+                knots.push(next);
+                for (knot, value) in velocity[first + 1..].iter_mut().zip(&knots[1..]) {
+                    set_lane(knot, place, *value);
+                }
+                if let Some(excess) = excess.get_mut(first) {
+                    set_lane(excess, place, integral / self.spacing - (now + next) / 2.0);
+                }
+            }
+        }
+    }
+
+    /// Knot before `t`, among those held, and the place in its interval.
+    fn place(&self, t: f64) -> (usize, f64) {
+        let place = (t - self.start) / self.spacing;
+        let last = self.view().velocity.len() - 2;
+        let knot = (place.max(0.0) as usize).min(last);
+        (knot, place - knot as f64)
+    }
+
+    /// What a kernel needs of the wind over one step.
+    pub(crate) fn view(&self) -> WindView<'_> {
+        let (velocity, excess): (&[LaneVec2], &[LaneVec2]) = match &self.source {
+            Source::InMemory(knots) => (knots, &[]),
+            Source::Drawn { velocity, excess, .. } => (velocity, excess),
+        };
+        WindView {
+            velocity,
+            excess,
+            spacing: self.spacing,
+            start: self.start,
+            base: self.base,
+            sums: &self.sums,
+        }
+    }
+
+    /// Goes on to the knot that a step came to.
+    pub(crate) fn go_on(&mut self, (base, sums): (usize, [LaneVec2; 2])) {
+        self.base = base;
+        self.sums = sums;
+    }
+
+    /// One member's path over `[t0, t1]`, its integrals counted from the release; to be asked
+    /// before the wind has gone on.
+    pub(crate) fn stretch(&self, t1: f64, place: usize) -> WindPath {
+        let view = self.view();
+        let last = (self.place(t1).0 + 1).min(view.velocity.len() - 1);
+        let of = |knots: &[LaneVec2], end: usize| {
+            knots.get(view.base..end).unwrap_or(&[]).iter().map(|w| lane(w, place)).collect()
+        };
+        let [single, double] = view.sums.map(|sum| lane(&sum, place));
+        WindPath::stretch(
+            view.start + view.base as f64 * view.spacing,
+            view.spacing,
+            of(view.velocity, last + 1),
+            of(view.excess, last),
+            [single * view.spacing, double * (view.spacing * view.spacing)],
+        )
+    }
+}
+
+/// The knots around one step, and the integrals up to the first of them.
+#[derive(Clone, Copy)]
+pub(crate) struct WindView<'a> {
+    velocity: &'a [LaneVec2],
+    excess: &'a [LaneVec2],
+    spacing: f64,
+    start: f64,
+    base: usize,
+    sums: &'a [LaneVec2; 2],
+}
+
+/// A walk along the knots: running sums of the wind from the base on.
+///
+/// With `A = Σ W_j` up to the present knot and `B = Σ A` up to the knot before,
+/// `∫W = A − (W_0 + W_n)/2` and `∬W = B − nW_0/2 + (W_n − W_0)/6` in units of the spacing: two
+/// additions a knot.
+pub(crate) struct Walk<'a> {
+    view: WindView<'a>,
+    knot: usize,
+    sum: LaneVec2,
+    sum_of_sums: LaneVec2,
+    /// The same of the excess: its sum before the present knot, and the sum of those before.
+    excess: LaneVec2,
+    excess_sums: LaneVec2,
+}
+
+impl<'a> WindView<'a> {
+    #[inline(always)]
+    pub(crate) fn walk(self) -> Walk<'a> {
+        Walk {
+            view: self,
+            knot: self.base,
+            sum: self.velocity[self.base],
+            sum_of_sums: [Lanes::ZERO; 2],
+            excess: [Lanes::ZERO; 2],
+            excess_sums: [Lanes::ZERO; 2],
+        }
+    }
+
+    /// ∫W and ∬W over the part `u` of an interval, in units of the spacing.
+    #[inline(always)]
+    fn within(&self, knot: usize, u: f64) -> (LaneVec2, LaneVec2) {
+        let (w, v) = (&self.velocity[knot], &self.velocity[knot + 1]);
+        let mut single = [Lanes::ZERO; 2];
+        let mut double = [Lanes::ZERO; 2];
+        for k in 0..2 {
+            single[k] = w[k] * (u * (1.0 - 0.5 * u)) + v[k] * (0.5 * u * u);
+            double[k] = w[k] * (u * u * (0.5 - u / 6.0)) + v[k] * (u * u * u / 6.0);
+        }
+        if let Some(e) = self.excess.get(knot) {
+            for k in 0..2 {
+                single[k] += e[k] * (u * u * (3.0 - 2.0 * u));
+                double[k] += e[k] * (u * u * u * (1.0 - 0.5 * u));
+            }
+        }
+        (single, double)
+    }
+
+    /// Upper bound of the wind's speed from the base to time `t`.
+    #[inline(always)]
+    pub(crate) fn max_speed(&self, t: f64) -> Lanes {
+        let last = (((t - self.start) / self.spacing).ceil() as usize).min(self.velocity.len() - 1);
+        let mut speed = Lanes::ZERO;
+        for w in &self.velocity[self.base..=last] {
+            speed = speed.max(w[0].abs() + w[1].abs());
+        }
+        let mut excess = Lanes::ZERO;
+        for e in self.excess.get(self.base..last).unwrap_or(&[]) {
+            excess = excess.max(e[0].abs() + e[1].abs());
+        }
+        speed + excess * 1.5
+    }
+}
+
+impl Walk<'_> {
+    /// Sums from the base to the present knot.
+    #[inline(always)]
+    fn to_knot(&self) -> [LaneVec2; 2] {
+        let n = (self.knot - self.view.base) as f64;
+        let (first, last) = (&self.view.velocity[self.view.base], &self.view.velocity[self.knot]);
+        let mut sums = [[Lanes::ZERO; 2]; 2];
+        for k in 0..2 {
+            sums[0][k] = self.sum[k] - (first[k] + last[k]) * 0.5;
+            sums[1][k] =
+                self.sum_of_sums[k] - first[k] * (0.5 * n + 1.0 / 6.0) + last[k] * (1.0 / 6.0);
+        }
+        if !self.view.excess.is_empty() {
+            for k in 0..2 {
+                sums[0][k] += self.excess[k];
+                sums[1][k] += self.excess_sums[k] + self.excess[k] * 0.5;
+            }
+        }
+        sums
+    }
+
+    /// Goes on to the knot before `t`, which is not before the last one asked for, and gives the
+    /// place in its interval.
+    #[inline(always)]
+    fn go_to(&mut self, t: f64) -> f64 {
+        let view = &self.view;
+        let place = (t - view.start) / view.spacing;
+        let target = (place as usize).min(view.velocity.len() - 2);
+        while self.knot < target {
+            if let Some(e) = view.excess.get(self.knot) {
+                for k in 0..2 {
+                    self.excess_sums[k] += self.excess[k];
+                    self.excess[k] += e[k];
+                }
+            }
+            self.knot += 1;
+            let w = &view.velocity[self.knot];
+            for k in 0..2 {
+                self.sum_of_sums[k] += self.sum[k];
+                self.sum[k] += w[k];
+            }
+        }
+        place - self.knot as f64
+    }
+
+    /// `factor·∬W` from the release to time `t`, not before the last one asked for: the sums to
+    /// the knot and the integrals inside its interval, with like terms put together.
+    #[inline(always)]
+    pub(crate) fn double_integral(&mut self, t: f64, factor: f64) -> LaneVec2 {
+        let u = self.go_to(t);
+        let view = &self.view;
+        let n = (self.knot - view.base) as f64;
+        let (first, last) = (&view.velocity[view.base], &view.velocity[self.knot]);
+        let next = &view.velocity[self.knot + 1];
+        let of_first = -(0.5 * (n + u) + 1.0 / 6.0);
+        let of_last = 1.0 / 6.0 - 0.5 * u + u * u * (0.5 - u / 6.0);
+        let of_next = u * u * u / 6.0;
+        let factor = factor * view.spacing * view.spacing;
+        let mut double = [Lanes::ZERO; 2];
+        for k in 0..2 {
+            double[k] = view.sums[1][k]
+                + view.sums[0][k] * (n + u)
+                + self.sum_of_sums[k]
+                + self.sum[k] * u
+                + first[k] * of_first
+                + last[k] * of_last
+                + next[k] * of_next;
+        }
+        if let Some(e) = view.excess.get(self.knot) {
+            for k in 0..2 {
+                double[k] += self.excess_sums[k]
+                    + self.excess[k] * (0.5 + u)
+                    + e[k] * (u * u * u * (1.0 - 0.5 * u));
+            }
+        }
+        [double[0] * factor, double[1] * factor]
+    }
+
+    /// `∫W` from the release to time `t`, not before the last one asked for.
+    #[inline(always)]
+    pub(crate) fn integral(&mut self, t: f64) -> LaneVec2 {
+        let u = self.go_to(t);
+        let view = &self.view;
+        let [single, _] = self.to_knot();
+        let (within, _) = view.within(self.knot, u);
+        let mut out = [Lanes::ZERO; 2];
+        for k in 0..2 {
+            out[k] = (view.sums[0][k] + single[k] + within[k]) * view.spacing;
+        }
+        out
+    }
+
+    /// The present knot, and the integrals from the release to it.
+    #[inline(always)]
+    pub(crate) fn end(&self) -> (usize, [LaneVec2; 2]) {
+        let n = (self.knot - self.view.base) as f64;
+        let [single, double] = self.to_knot();
+        let mut sums = *self.view.sums;
+        for k in 0..2 {
+            sums[1][k] += sums[0][k] * n + double[k];
+            sums[0][k] += single[k];
+        }
+        (self.knot, sums)
+    }
+}
