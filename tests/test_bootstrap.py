@@ -14,7 +14,8 @@ from scipy import stats
 
 import driftcore as dc
 from driftcore.climate import synthetic_record
-from driftcore.wind import Integer, Mode
+from driftcore.record import Integer
+from driftcore.wind import Mode
 from reference import Floats, lgb_weights
 
 

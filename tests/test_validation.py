@@ -13,7 +13,8 @@ import pytest
 
 import driftcore as dc
 from driftcore import cli, paper, validation, validation_report
-from driftcore.validation import Case, Check, Errors, Integration, Validation
+from driftcore.check import Check
+from driftcore.validation import Case, Errors, Integration, Validation
 
 SMALL = validation.Effort(
     winds=2, winds_of_orders=1, winds_of_costs=1, members=20, rounds=1, halvings=6
@@ -121,8 +122,11 @@ def test_check() -> None:
     assert not Check("", 1.1, 1.0).passed
     assert not Check("", 0.8, 1.1, 0.9).passed
     assert not Check("", math.nan, 1.0).passed
+    assert Check.within("", -0.04, 0.04).passed
+    assert not Check.within("", -0.041, 0.04).passed
     assert Check("", 0.0, 7e-4).required == "≤ 0.0007"
     assert Check("", 0.0, 2.1, 1.9).required == "1.9 to 2.1"
+    assert Check.within("", 0.0, 0.04).required == "-0.04 to 0.04"
 
 
 def test_a_failing_check_fails_the_validation(small: Validation) -> None:

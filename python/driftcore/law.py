@@ -8,23 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
+from driftcore.check import Check
 from driftcore.errors import RecordError, ScenarioError
-from driftcore.wind import (
-    _LARGEST_ORDER,
-    Float,
-    Integer,
-    LocalGridBootstrap,
-    WindRecord,
-    _mean_cycle,
-    _rows_with_successor,
-)
+from driftcore.record import Float, Integer, WindRecord, mean_cycle, rows_with_successor
+from driftcore.wind import LARGEST_ORDER, LocalGridBootstrap
 
 Simulator: TypeAlias = Callable[[int, int, int | None], tuple[Float, Integer]]
 """From (members, steps, start) to winds (members, steps, 2) [m/s], mean cycle included, and the
@@ -80,28 +73,6 @@ _LONGEST_RUN = 12
 _LARGEST_SPREAD_ERROR = 0.1
 
 
-@dataclass(frozen=True)
-class Statistic:
-    """What was measured of a generator beside the largest magnitude accepted.
-
-    Attributes
-    ----------
-    name : str
-        One of the names of this module, in words; T1 to T7 number the tests.
-    measured, limit : float
-        For T1 and T2 the largest of the family's |z|; T3 and T6 have a sign.
-    """
-
-    name: str
-    measured: float
-    limit: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the magnitude is within the limit."""
-        return abs(self.measured) <= self.limit
-
-
 def simulator(wind: LocalGridBootstrap, seed: int) -> Simulator:
     """Give a fitted bootstrap as a `Simulator`.
 
@@ -123,7 +94,7 @@ def assess(
     *,
     seasons: int = 200,
     seed: int = 1,
-) -> list[Statistic]:
+) -> list[Check]:
     """Measure T1 to T7: whether a generator has the law of a record and does not copy it.
 
     T1 and T2 compare shares and correlations: of the record's quantiles (how often a simulated
@@ -143,7 +114,9 @@ def assess(
 
     Returns
     -------
-    list of Statistic
+    list of Check
+        Named by this module, T1 to T7 number the tests. For T1 and T2 the largest of the family's
+        |z|; T3 and T6 have a sign.
 
     Raises
     ------
@@ -165,7 +138,7 @@ def assess(
     scores = _scores(pieces, seasons_of_pieces, values, record.step_h, seed)
     return [
         *(
-            Statistic(name, float(np.abs(z).max(initial=0)), limit(name, len(years)))
+            Check(name, float(np.abs(z).max(initial=0)), limit(name, len(years)))
             for name, z in scores.items()
         ),
         *_deviations(values, record),
@@ -379,15 +352,15 @@ def _thresholds(values: Float, levels: tuple[float, ...]) -> Float:
 # T3 to T7
 
 
-def _deviations(values: Float, record: WindRecord) -> list[Statistic]:
+def _deviations(values: Float, record: WindRecord) -> list[Check]:
     error = values.std(axis=(0, 1)) / record.velocity.std(axis=0) - 1
     return [
-        Statistic(DEVIATION.format(name), float(e), _LARGEST_DEVIATION)
+        Check.within(DEVIATION.format(name), float(e), _LARGEST_DEVIATION)
         for name, e in zip("uv", error, strict=True)
     ]
 
 
-def _copies(values: Float, drawn: Integer, record: WindRecord) -> list[Statistic]:
+def _copies(values: Float, drawn: Integer, record: WindRecord) -> list[Check]:
     continued = np.diff(drawn, axis=1) == 1
     run = np.zeros(len(drawn), dtype=np.int64)
     longest = 0
@@ -398,10 +371,10 @@ def _copies(values: Float, drawn: Integer, record: WindRecord) -> list[Statistic
     repeated = np.isin(_keys(values[:, 1:]), _keys(record.velocity)).mean()
     last = np.diff(record.segment, append=-1) != 0
     return [
-        Statistic(CONTINUED, float(continued.mean()), _LARGEST_CONTINUED),
-        Statistic(LONGEST, longest, _LONGEST_RUN),
-        Statistic(REPEATED, float(repeated), 0.0),
-        Statistic(JOINED, int(last[drawn].sum()), 0),
+        Check(CONTINUED, float(continued.mean()), _LARGEST_CONTINUED),
+        Check(LONGEST, longest, _LONGEST_RUN),
+        Check(REPEATED, float(repeated), 0.0),
+        Check(JOINED, int(last[drawn].sum()), 0),
     ]
 
 
@@ -411,18 +384,18 @@ def _keys(values: Float) -> Integer:
     return np.asarray((whole[..., 0] << 32) + whole[..., 1])
 
 
-def _spread(simulate: Simulator, record: WindRecord, members: int = 200) -> list[Statistic]:
+def _spread(simulate: Simulator, record: WindRecord, members: int = 200) -> list[Check]:
     """T6, over whole days around day 30: 200 members at one hour tell 5 % only."""
     speed = np.hypot(*record.velocity.T)
-    candidates = _rows_with_successor(record, _LARGEST_ORDER)
+    candidates = rows_with_successor(record, LARGEST_ORDER)
     start = int(candidates[speed[candidates].argmax()])
     first, stop = (days * max(1, round(24 / record.step_h)) for days in _SPREAD_DAYS)
     values, _ = simulate(members, stop, start)
-    phase, cycle = _mean_cycle(record)
+    phase, cycle = mean_cycle(record)
     climate = (record.velocity - cycle[phase]).var(axis=0)
     reached = values[:, first:].var(axis=0, ddof=1).mean(axis=0)
     error = np.sqrt(reached / climate) - 1
     return [
-        Statistic(SPREAD.format(name), float(e), _LARGEST_SPREAD_ERROR)
+        Check.within(SPREAD.format(name), float(e), _LARGEST_SPREAD_ERROR)
         for name, e in zip("uv", error, strict=True)
     ]

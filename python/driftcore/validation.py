@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import paper
+from driftcore.check import Check
 from driftcore.forecast import Forecast, forecast, member_path, trajectory
 from driftcore.scenario import ModelName, Scenario
 from driftcore.statistics import Probability
@@ -85,28 +86,6 @@ class Effort:
 
 DEFAULT = Effort()
 FULL = Effort(winds_of_orders=100, winds_of_costs=10, rounds=45, halvings=12, paper_strandings=True)
-
-
-@dataclass(frozen=True)
-class Check:
-    """A measured number beside the range that it must lie in."""
-
-    name: str
-    measured: float
-    high: float
-    low: float = 0.0
-
-    @property
-    def passed(self) -> bool:
-        """Whether the number lies in the range."""
-        return self.low <= self.measured <= self.high
-
-    @property
-    def required(self) -> str:
-        """The range in words."""
-        if self.low:
-            return f"{self.low:.5g} to {self.high:.5g}"
-        return f"≤ {self.high:.4g}"
 
 
 @dataclass(frozen=True)
