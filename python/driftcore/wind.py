@@ -42,7 +42,7 @@ LARGEST_ORDER = 8
 # The search of the bandwidths: geometric grids (for `lgb` below its limits), and how much of a
 # long record is scored, or averaged over.
 _BANDWIDTHS = 0.1 * 2.0 ** (np.arange(17) / 4)
-_WIDEST_RESIDUAL = 0.5
+WIDEST_RESIDUAL = 0.5
 _LIMIT_SHARES = 2.0 ** (np.arange(-4, 1) / 2)
 _SCORED_PAIRS = 5_000_000
 _AVERAGED_PAIRS = 100_000_000
@@ -228,7 +228,7 @@ class LocalGridBootstrap:
             likelihood = _score(candidates, mode, states, whitening, successor, record, row)
             bounded = likelihood
             if mode == "residual":
-                bounded = likelihood[likelihood["h"] <= _WIDEST_RESIDUAL]
+                bounded = likelihood[likelihood["h"] <= WIDEST_RESIDUAL]
             best = bounded[bounded["log_likelihood"].argmax()]
             h = float(best["h"])
             b = float(best["b"]) if mode == "lgb" else None
@@ -295,6 +295,18 @@ class LocalGridBootstrap:
     def span_days(self) -> float:
         """Days after which a simulation leaves the season it stands for."""
         return self.record.span_days
+
+    def weights(self, state: ArrayLike) -> Float:
+        """Probability that each row of the catalogue is drawn at a state, (n,).
+
+        Parameters
+        ----------
+        state : array_like, shape (2p,)
+            Anomalies (X, …) [m/s], newest first.
+        """
+        whitened = np.atleast_2d(_real_array("state", state)) @ self.whitening.T
+        weight = _kernel_weights(whitened, self.states @ self.whitening.T, self.h)[0]
+        return np.asarray(weight / weight.sum(dtype=np.float64), np.float64)
 
     def config(self) -> dict[str, Any]:
         """Everything needed to fit again, in types that TOML has: absent keys were not set.
@@ -521,11 +533,16 @@ def _drawn_share(whitened: Float, h: float, per_day: int) -> Float:
     share = np.zeros(len(whitened))
     stride = _stride(len(whitened), per_day, _AVERAGED_PAIRS)
     for rows in _batches(np.arange(0, len(whitened), stride)):
-        distance2 = _squared_distances(whitened[rows], whitened)
-        distance2 -= distance2.min(axis=1, keepdims=True)
-        weight = np.exp(distance2 / np.float32(-2 * h**2))
+        weight = _kernel_weights(whitened[rows], whitened, h)
         share += (1 / weight.sum(axis=1)) @ weight
     return np.asarray(share / share.sum(), np.float64)
+
+
+def _kernel_weights(whitened: Float, catalogue: Float, h: float) -> Single:
+    """Weight of each row of a catalogue at each state, 1 for the nearest, (states, n)."""
+    distance2 = _squared_distances(whitened, catalogue)
+    distance2 -= distance2.min(axis=1, keepdims=True)
+    return np.asarray(np.exp(distance2 / np.float32(-2 * h**2)))
 
 
 def _standardized(residual: Float, share: Float) -> Float:
