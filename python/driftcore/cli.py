@@ -198,8 +198,9 @@ def validate(
         ),
     ] = None,
     months: Annotated[
-        str, typer.Option(metavar="LIST", help="Months of that record, e.g. 6,7,8; or `all`.")
-    ] = "6,7,8",
+        str | None,
+        typer.Option(metavar="LIST", help="Its months, or `all`; default 6,7,8."),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Measure the models against each other and the paper's tables, beside what is required.
@@ -212,7 +213,9 @@ def validate(
     from driftcore.validation_report import REPORT, write
 
     effort = validation.FULL if full else validation.DEFAULT
-    wind = None if record is None else read_record(record, _months(months))
+    if record is None and months is not None:
+        raise RecordError("months: they are those of a record; name it by --record")
+    wind = None if record is None else read_record(record, _months(months or "6,7,8"))
     with ExitStack() as stack:
         # Before the work, so that a folder that cannot be written costs none.
         folder = output and stack.enter_context(filling(output, overwrite, expected=REPORT))

@@ -122,7 +122,7 @@ class ExactInLaw:
 
     def _moments(self) -> Iterable[Check]:
         for scale, (coarse, brute) in self.moments.items():
-            name = f"small scale of memory {scale.memory_h:g} h, moments, largest |z|"
+            name = f"small scale of memory {scale.memory_h:g} h, moments, largest z"
             yield Check(name, float(abs(coarse.z_scores(brute)).max()), _LARGEST_Z)
 
     def _stranding_times(self) -> Iterable[Check]:
