@@ -208,7 +208,7 @@ def test_the_default_mode_must_not_copy(small: Validation) -> None:
 def test_a_wrong_wind_that_nothing_finds_fails(small: Validation) -> None:
     unseen = {name: [Check("T1", 0.0, 1.0)] for name in small.wrong}
     failed = {c.name for c in replace(small, wrong=unseen).checks if not c.passed}
-    assert {f"wrong wind, {name}: tests that find it" for name in WRONG} <= failed
+    assert {f"wrong wind, {name}: statistics that find it" for name in WRONG} <= failed
 
 
 def test_too_few_seasons_stop_it_early() -> None:
@@ -273,14 +273,14 @@ def test_words_on_the_winds(small: Validation, report: Path) -> None:
 
 
 def test_words_without_a_record(small: Validation) -> None:
-    words = law_of_the_wind(small.laws[2:], small.wrong, "figure.png")
+    words = law_of_the_wind(small.laws[2:], small.wrong, 6, "figure.png")
     assert "Six summers" not in words
     assert "The bands of T1 and T2 are those for 17 seasons or more" in words
 
 
 def test_words_on_a_mode_that_does_not_copy(small: Validation) -> None:
     one, other = small.laws[2:]
-    words = law_of_the_wind([one, replace(other, checks=one.checks)], small.wrong, "figure.png")
+    words = law_of_the_wind([one, replace(other, checks=one.checks)], small.wrong, 6, "figure.png")
     assert "Neither mode copies its record" in words
 
 

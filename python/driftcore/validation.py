@@ -355,7 +355,7 @@ class Validation:
     def _found_out(self) -> Iterable[Check]:
         for name, checks in self.wrong.items():
             missed = sum(not check.passed for check in checks)
-            yield Check(f"wrong wind, {name}: tests that find it", missed, len(checks), 1)
+            yield Check(f"wrong wind, {name}: statistics that find it", missed, len(checks), 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as numbers, text, lists and dictionaries, for JSON."""

@@ -77,7 +77,12 @@ def write(validation: Validation, folder: Path) -> None:
         _orders(validation),
         _cost(validation),
         _strandings(validation),
-        law_of_the_wind(validation.laws, validation.wrong, f"{_FIGURES}/likelihood.png"),
+        law_of_the_wind(
+            validation.laws,
+            validation.wrong,
+            validation.effort.summers,
+            f"{_FIGURES}/likelihood.png",
+        ),
         exact_in_law(validation.exact),
         _figures(validation, member),
     ]

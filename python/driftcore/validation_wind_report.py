@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 _MOMENTS = ("E value", "E integral [h]", "Var value", "Cov [h]", "Var integral [h²]")
 
 
-def law_of_the_wind(laws: Sequence[LawOfWind], wrong: dict[str, list[Check]], figure: str) -> str:
+def law_of_the_wind(
+    laws: Sequence[LawOfWind], wrong: dict[str, list[Check]], summers: int, figure: str
+) -> str:
     """Word the section.
 
     Parameters
@@ -28,6 +30,8 @@ def law_of_the_wind(laws: Sequence[LawOfWind], wrong: dict[str, list[Check]], fi
         In pairs of modes, one pair per record.
     wrong : dict
         Checks of the wrong generators.
+    summers : int
+        Which those were fitted to.
     figure : str
         Path of the figure of the likelihoods.
     """
@@ -73,9 +77,9 @@ def law_of_the_wind(laws: Sequence[LawOfWind], wrong: dict[str, list[Check]], fi
             ),
             "### What finds a wrong wind",
             paragraphs(
-                """
-                Generators that are wrong in a known way, fitted to summers of the embedded climate,
-                and which tests they fail. Each must fail one at least.
+                f"""
+                Generators that are wrong in a known way, fitted to {summers} summers of the
+                embedded climate, and which tests they fail. Each must fail one at least.
                 """
             ),
             _found_out(wrong),
@@ -134,8 +138,9 @@ def _words_on_bands(laws: Sequence[LawOfWind]) -> str:
     few = {one.name: one.seasons for one in laws if one.seasons < law.MANY_SEASONS}
     if not few:
         return (
-            f"The bands of T1 and T2 are those for {law.MANY_SEASONS} seasons or more: "
-            "narrower than what a generator of exactly the record's law would need."
+            f"The bands of T1 and T2 are those for {law.MANY_SEASONS} seasons or more. They are "
+            "stricter than what another record of the same law would pass, as may be asked of a "
+            "generator that was fitted to this one."
         )
     ((name, seasons),) = few.items()
     bands = ", ".join(f"{word} {law.limit(key, seasons):.3g}" for word, key in law.FAMILIES.items())
@@ -144,8 +149,8 @@ def _words_on_bands(laws: Sequence[LawOfWind]) -> str:
         **The bands of {name} are wider.** The {seasons} seasons of {name} tell their own standard
         errors poorly, and even a generator of exactly their law shows |z| far above 3. So the bands
         of T1 and T2 are the 99 % quantiles of what so short records show beside 200 seasons of
-        their own law: a parametric bootstrap of the embedded climate, `driftcore.law.calibrate`,
-        with 6 and with 10 seasons, in between interpolated. Here they are: {bands}. Of
+        their own law: a parametric bootstrap of the embedded climate, every 6 h, with 6 and with 10
+        seasons (`driftcore.law.calibrate`), in between interpolated. Here they are: {bands}. Of
         {law.MANY_SEASONS} seasons or more, as the embedded climate has, they are {strict} in the
         same order. Behind bands so wide only gross errors show.
         """
