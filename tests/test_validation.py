@@ -160,6 +160,9 @@ def test_work_for_an_error() -> None:
     assert integration.work_for(0.5) == 100  # met by the coarsest
     assert integration.work_for(0.0025 / 4) == pytest.approx(800)  # beyond the finest
     assert integration.order == pytest.approx(2)
+    # A tolerance that changes the error, not the work.
+    idle = Integration("idle", np.array([[300.0, 300.0, 500.0]]), np.array([[3.0, 1.0, 0.1]]))
+    assert idle.work_for(2.0) == 300
     # An error that grows again counts to its last crossing.
     wavy = Integration("wavy", work[:1, [0, 1, 2, 2]] * [1, 1, 1, 2], np.array([[4, 1, 3, 1.0]]))
     assert wavy.work_for(2) == pytest.approx(400 * 2 ** (math.log(1.5) / math.log(3)))

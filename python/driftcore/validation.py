@@ -196,6 +196,10 @@ class Integration:
                 continue
             # Beyond the finest one, the line through the two finest goes on.
             left = min(above[-1], len(work) - 2)
+            if work[left] == work[left + 1]:
+                # A smaller tolerance that asks for the same steps.
+                found.append(work[left])
+                continue
             span = slice(left, left + 2)
             rate = -slope(work[span], errors[span])
             found.append(work[left] * (errors[left] / error) ** (1 / rate))

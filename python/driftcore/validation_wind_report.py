@@ -149,10 +149,10 @@ def _words_on_bands(laws: Sequence[LawOfWind]) -> str:
         **The bands of {name} are wider.** The {seasons} seasons of {name} tell their own standard
         errors poorly, and even a generator of exactly their law shows |z| far above 3. So the bands
         of T1 and T2 are the 99 % quantiles of what so short records show beside 200 seasons of
-        their own law: a parametric bootstrap of the embedded climate, every 6 h, with 6 and with 10
-        seasons (`driftcore.law.calibrate`), in between interpolated. Here they are: {bands}. Of
-        {law.MANY_SEASONS} seasons or more, as the embedded climate has, they are {strict} in the
-        same order. Behind bands so wide only gross errors show.
+        their own law: a parametric bootstrap of the embedded climate, every 6 h,
+        `driftcore.law.calibrate`, with 6 and with 10 seasons, in between interpolated. Here they
+        are: {bands}. Of {law.MANY_SEASONS} seasons or more, as the embedded climate has, they are
+        {strict} in the same order. Behind bands so wide only gross errors show.
         """
 
 
