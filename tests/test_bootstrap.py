@@ -14,7 +14,8 @@ from scipy import stats
 
 import driftcore as dc
 from driftcore.climate import synthetic_record
-from driftcore.wind import Integer, Mode
+from driftcore.record import Integer
+from driftcore.wind import Mode
 from reference import Floats, lgb_weights
 
 
@@ -77,6 +78,16 @@ def chains(wind: dc.LocalGridBootstrap, members: int, steps: int, seed: int) -> 
 
 
 # The law of one draw
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_weights_by_definition(case: Case) -> None:
+    wind = fitted(case)
+    for state in (wind.states[300], wind.states[5:7].mean(axis=0), 3 * wind.states[700]):
+        expected = lgb_weights(wind.states, wind.whitening, case.h, state)
+        # Distances in single precision.
+        assert np.allclose(wind.weights(state), expected, rtol=1e-3, atol=1e-6)
+        assert wind.weights(state).sum() == pytest.approx(1, abs=1e-12)
 
 
 def chi_square(counts: Integer, weights: Floats, least: float) -> float:

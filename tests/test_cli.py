@@ -176,7 +176,7 @@ def test_forecast_of_failed_members_is_told(driftcore: Command) -> None:
         (["demo"], ["--members", "--seed", "--print-scenario", "--output"]),
         (["run"], ["SCENARIO", "--output", "--json", "--quiet", "--overwrite", "--threads"]),
         (["plot"], ["FORECAST", "--output"]),
-        (["validate"], ["--output", "Exit code 1"]),
+        (["validate"], ["--output", "--record", "--months", "Exit code 1"]),
     ],
 )
 def test_help_fits_eighty_columns(driftcore: Command, command: list[str], words: list[str]) -> None:

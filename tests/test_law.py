@@ -1,13 +1,10 @@
-"""Simulated winds have the law of their record, and wrong generators are found out.
-
-That draws follow the weights (T9) and that streams do not depend on members or threads (T8) is
-tested in test_bootstrap.py and test_forecast.py.
-"""
+"""Simulated winds have the law of their record, and wrong generators are found out."""
 
 import dataclasses
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,17 +12,18 @@ import pytest
 
 import driftcore as dc
 from driftcore import law
+from driftcore.check import Check
 from driftcore.climate import synthetic_record
 from driftcore.errors import RecordError, ScenarioError
-from driftcore.wind import Integer, Mode, WindRecord, read_record
+from driftcore.record import Integer, WindRecord, read_record
+from driftcore.wrong_winds import WRONG, independent_draws, the_record_itself
 from reference import Floats
 
 SUMMER = (6, 7, 8)
 STEPS = 368
-COPYING = {law.CONTINUED, law.LONGEST}
 
 
-def failures(statistics: list[law.Statistic]) -> set[str]:
+def failures(statistics: list[Check]) -> set[str]:
     return {statistic.name for statistic in statistics if not statistic.passed}
 
 
@@ -37,7 +35,7 @@ def test_the_default_has_the_law_of_the_embedded_record(
 ) -> None:
     statistics = law.assess(embedded_wind)
     assert failures(statistics) == set()
-    assert {s.name.split()[0] for s in statistics} == {f"T{k}" for k in range(1, 8)}
+    assert {s.name.split()[0] for s in statistics} == {f"T{k}" for k in range(1, 10)}
 
 
 def test_the_default_has_the_law_of_the_real_record(belle_ile_csv: Path) -> None:
@@ -47,12 +45,12 @@ def test_the_default_has_the_law_of_the_real_record(belle_ile_csv: Path) -> None
 def test_the_paper_mode_has_the_law_of_the_embedded_record() -> None:
     """But copies long stretches: its narrow kernel often finds one row only."""
     paper_mode = dc.LocalGridBootstrap.fit(synthetic_record(), mode="lgb")
-    assert failures(law.assess(paper_mode)) == COPYING
+    assert failures(law.assess(paper_mode)) == law.COPIES
 
 
 def test_the_paper_mode_has_the_law_of_the_real_record(belle_ile_csv: Path) -> None:
     paper_mode = dc.LocalGridBootstrap.fit(belle_ile_csv, mode="lgb")
-    assert failures(law.assess(paper_mode)) == COPYING
+    assert failures(law.assess(paper_mode)) == law.COPIES
 
 
 def test_a_residual_mode_that_is_too_smooth(belle_ile_csv: Path) -> None:
@@ -69,111 +67,83 @@ def record() -> WindRecord:
     return read_record(synthetic_record(years=6), months=SUMMER)
 
 
-def bootstrap(
-    mode: Mode, h: float, b: float | None = None
-) -> Callable[[WindRecord], law.Simulator]:
-    def fit(record: WindRecord) -> law.Simulator:
-        return law.simulator(dc.LocalGridBootstrap.fit(record, mode=mode, h=h, b=b), seed=1)
-
-    return fit
-
-
-def independent_draws(record: WindRecord) -> law.Simulator:
-    random = np.random.default_rng(1)
-
-    def simulate(members: int, steps: int, _: int | None) -> tuple[Floats, Integer]:
-        row = random.integers(1, len(record), (members, steps))
-        return record.velocity[row], row - 1
-
-    return simulate
-
-
-def the_record_itself(record: WindRecord) -> law.Simulator:
-    """Its summers over and over; from one state there is only one way on."""
-
-    def simulate(members: int, steps: int, start: int | None) -> tuple[Floats, Integer]:
-        first = np.arange(members) % 6 * STEPS if start is None else np.full(members, start)
-        row = (first[:, None] + np.arange(steps)) % len(record)
-        return record.velocity[row], row - 1
-
-    return simulate
-
-
-def joined_summers(record: WindRecord) -> law.Simulator:
-    times = np.datetime64("2001-06-01", "s") + np.arange(len(record)) * np.timedelta64(6, "h")
-    glued = WindRecord(times, record.velocity, record.step_h, "glued")
-    with pytest.warns(dc.DriftCoreWarning, match="season"):
-        return law.simulator(dc.LocalGridBootstrap.fit(glued, months=None, h=0.4), seed=1)
-
-
-def seldom_calm(record: WindRecord) -> law.Simulator:
-    """Weights that are zero for half of the rows before a weak wind."""
-    fit = dc.LocalGridBootstrap.fit(record, h=0.4)
-    after = np.hypot(*record.velocity[fit.row + 1].T)
-    kept = (after > np.median(after)) | (np.arange(len(after)) % 2 > 0)
-    catalogue = {
-        name: getattr(fit, name)[kept] for name in ("states", "target", "row", "phase", "start")
-    }
-    return law.simulator(dataclasses.replace(fit, **catalogue), seed=1)
-
-
-def no_spread(record: WindRecord) -> law.Simulator:
-    """Members of one state share all draws."""
-    fit = dc.LocalGridBootstrap.fit(record, h=0.4)
-
-    def simulate(members: int, steps: int, start: int | None) -> tuple[Floats, Integer]:
-        if start is None:
-            return fit.sample(members, steps, 1, return_indices=True)
-        values, drawn = law.simulator(fit, seed=1)(2, steps, start)
-        return np.resize(values, (members, steps, 2)), np.resize(drawn, (members, steps))
-
-    return simulate
-
-
 T2_T3 = {law.LAG_ONE, law.DEVIATION.format("u"), law.DEVIATION.format("v")}
 SPREAD = {law.SPREAD.format("u"), law.SPREAD.format("v")}
-WRONG: list[tuple[Callable[[WindRecord], law.Simulator], set[str]]] = [
-    (
-        independent_draws,
-        {law.SHORT_ACF, law.CROSS, law.PERSISTENCE, law.CHANGES, law.LAG_ONE, law.REPEATED},
-    ),
-    (bootstrap("residual", h=1e-3), COPYING | SPREAD),
-    (bootstrap("lgb", h=1e-3, b=0.05), COPYING),
-    (the_record_itself, COPYING | SPREAD | {law.REPEATED}),
-    (bootstrap("lgb", h=0.5, b=0.0), T2_T3 | {law.CHANGES, law.SHORT_ACF, law.REPEATED}),
-    (bootstrap("lgb", h=0.1, b=0.5), T2_T3 - {law.LAG_ONE} | SPREAD | {law.CHANGES}),
-    (joined_summers, {law.JOINED}),
-    (seldom_calm, T2_T3 - {law.LAG_ONE} | SPREAD | {law.QUANTILES, law.PERSISTENCE}),
-    (no_spread, SPREAD),
-]
+FOUND_BY = {
+    "independent draws": {
+        law.SHORT_ACF,
+        law.CROSS,
+        law.PERSISTENCE,
+        law.CHANGES,
+        law.LAG_ONE,
+        law.REPEATED,
+    },
+    "nearest neighbour alone, residual": law.COPIES | SPREAD,
+    "nearest neighbour alone, lgb": law.COPIES,
+    "the record itself": law.COPIES | SPREAD | {law.REPEATED},
+    "over-smoothing, lgb h = 0.5": T2_T3 | {law.CHANGES, law.SHORT_ACF, law.REPEATED},
+    "noise inflation, lgb b = 0.5": T2_T3 - {law.LAG_ONE} | SPREAD | {law.CHANGES},
+    "joined seasons": {law.JOINED},
+    "biased weights": T2_T3 - {law.LAG_ONE} | SPREAD | {law.QUANTILES, law.PERSISTENCE},
+    "collapsed ensemble": SPREAD,
+}
 
 
-@pytest.mark.parametrize(
-    ("wrong", "found_by"),
-    WRONG,
-    ids=[
-        "independent draws",
-        "residual that copies",
-        "lgb that copies",
-        "the record itself",
-        "lgb too smooth",
-        "lgb with too much noise",
-        "joined summers",
-        "biased weights",
-        "collapsed ensemble",
-    ],
-)
+@pytest.mark.parametrize(("name", "wrong"), WRONG.items(), ids=WRONG.keys())
 def test_wrong_generators_are_found_out(
-    record: WindRecord, wrong: Callable[[WindRecord], law.Simulator], found_by: set[str]
+    record: WindRecord, name: str, wrong: Callable[[WindRecord], law.Simulator]
 ) -> None:
-    assert found_by <= failures(law.assess(wrong(record), record))
+    assert FOUND_BY[name] <= failures(law.assess(wrong(record), record))
+
+
+# The sampler itself
+
+
+def test_a_wrong_bandwidth_is_found_out(embedded_wind: dc.LocalGridBootstrap) -> None:
+    wrong = dataclasses.replace(embedded_wind, h=1.03 * embedded_wind.h)
+    wrong.__dict__["core"] = embedded_wind.core  # draws by another h
+    assert failures(law.assess(wrong)) == {law.WEIGHTS}
+
+
+class Entangled:
+    """A sampler whose members depend on how many are simulated with them."""
+
+    def __init__(self, core: Any) -> None:
+        self.core = core
+        self.draws_at = core.draws_at
+
+    def sample(
+        self, members: int, steps: int, seed: int, first_member: int = 0
+    ) -> tuple[Floats, Integer]:
+        values, rows = self.core.sample(members, steps, seed, first_member=first_member)
+        return values[::-1], rows[::-1]
+
+
+def test_entangled_members_are_found_out(
+    embedded_wind: dc.LocalGridBootstrap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    same = dc.forecast(dc.paper.scenario(), embedded_wind, members=2)
+    monkeypatch.setattr(law, "forecast", lambda *_, **__: same)
+    wrong = dataclasses.replace(embedded_wind)
+    wrong.__dict__["core"] = Entangled(embedded_wind.core)
+    assert failures(law.assess(wrong)) == {law.STREAMS}
+
+
+def test_threads_that_matter_are_found_out(
+    embedded_wind: dc.LocalGridBootstrap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forecast(*wind: Any, threads: int, seed: int, **options: Any) -> dc.Forecast:
+        return dc.forecast(*wind, seed=seed + (threads == 3), **options)
+
+    monkeypatch.setattr(law, "forecast", forecast)
+    assert failures(law.assess(embedded_wind)) == {law.STREAMS}
 
 
 def test_the_record_itself_has_its_own_law(record: WindRecord) -> None:
     """Copying passes T1 to T3: it takes T4 to T6 to see it."""
     statistics = law.assess(the_record_itself(record), record, seasons=6)
     # Each summer begins after the end of another.
-    assert failures(statistics) == COPYING | SPREAD | {law.REPEATED, law.JOINED}
+    assert failures(statistics) == law.COPIES | SPREAD | {law.REPEATED, law.JOINED}
     for statistic in statistics:
         if statistic.name[:2] in ("T1", "T2", "T3"):
             assert abs(statistic.measured) < 1e-9
@@ -250,9 +220,3 @@ def test_what_cannot_be_assessed(embedded_wind: dc.LocalGridBootstrap) -> None:
     short = read_record(synthetic_record(years=3), months=SUMMER)
     with pytest.raises(RecordError, match=r"3 season\(s\) tell no standard errors; at least 6"):
         law.assess(independent_draws(short), short)
-
-
-def test_a_statistic_that_is_not_a_number_fails() -> None:
-    assert law.Statistic("T3", -0.04, 0.04).passed
-    assert not law.Statistic("T3", -0.041, 0.04).passed
-    assert not law.Statistic("T3", float("nan"), 0.04).passed

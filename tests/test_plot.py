@@ -492,6 +492,19 @@ def test_convergence_is_logarithmic_and_tells_curves_apart() -> None:
     assert len({line.get_marker() for line in lines}) == 8
 
 
+def test_likelihood_marks_what_was_chosen() -> None:
+    h = [0.1, 0.3, 0.9]
+    curves = {"one": (h, [-1.0, 0.0, -0.5]), "other": (h, [-2.0, -1.0, 0.0])}
+    artists = plot.likelihood(curves, {"one": (0.3, 0.0), "other": (0.3, -1.0)}, "h", "nats")
+    axes = figure_of(artists).axes[0]
+    draw(artists)
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
+    assert {"h", "nats", "0.2", "0.5", *curves} <= set(texts(figure_of(artists)))
+    assert labelled(artists, "other").get_xydata().tolist() == [[0.1, -2], [0.3, -1], [0.9, 0]]
+    assert artists[1].get_xydata().tolist() == [[0.3, 0.0]]
+    assert artists[1].get_color() == artists[0].get_color() != artists[2].get_color()
+
+
 def test_figures_are_legible_and_leave_global_state_alone() -> None:
     before = dict(mpl.rcParams)
     label = "synthetic climate fitted to six summers of a hindcast, the seventh left out " * 2

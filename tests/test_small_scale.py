@@ -2,7 +2,6 @@
 
 import dataclasses
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,6 +9,15 @@ from scipy import stats
 
 import driftcore as dc
 from driftcore.climate import synthetic_record
+from driftcore.small_scale import (
+    Moments,
+    SmallScale,
+    brute_force_cells,
+    brute_force_strandings,
+    coarse_strandings,
+    member_cells,
+)
+from driftcore.statistics import kolmogorov_smirnov
 from reference import Floats, ar1_bridge, ar1_joint, ar1_moments, ar1_path
 
 CASES = [(1, 0.9), (2, 0.5), (8, 0.97), (48, np.exp(-7.5 / 60 / 3)), (49, 0.3), (288, 0.999)]
@@ -45,49 +53,52 @@ def test_closed_form_against_brute_force() -> None:
 # The small scale of members
 
 
-class Law(NamedTuple):
-    """A small-scale wind."""
-
-    share: float
-    memory_h: float
-    tide_period_h: float = 12.5
-
-    @property
-    def substeps(self) -> int:
-        """Fine steps, of a hundredth of a tide at most, in six hours."""
-        return int(np.ceil(600 / self.tide_period_h))
-
-
-LAWS = [Law(0.1, 3.0), Law(0.5, 20.0), Law(0.3, 0.5, 12.42)]
-MEMBERS = 40
+LAWS = [SmallScale(0.1, 3.0), SmallScale(0.5, 20.0), SmallScale(0.3, 0.5, 12.42)]
 
 
 @lru_cache
-def small_scale(wind: dc.LocalGridBootstrap, law: Law) -> Floats:
-    """Member paths less those without a small scale, its sd being 1: (members, steps + 1, 2)."""
-    scenario = dc.paper.scenario(1 / 50, tide_period_h=law.tide_period_h)
-    with_it = dataclasses.replace(wind, share=law.share, memory_h=law.memory_h)
-    without = dataclasses.replace(wind, share=0.0)
-
-    def velocity(wind: dc.LocalGridBootstrap) -> Floats:
-        paths = [dc.member_path(scenario, wind, member, 8) for member in range(MEMBERS)]
-        return np.array([path.velocity for path in paths]) * scenario.wind_unit
-
-    return (velocity(with_it) - velocity(without)) / with_it.small_scale_sd
+def cells(wind: dc.LocalGridBootstrap, law: SmallScale) -> Floats:
+    return member_cells(wind, law, members=40, seed=8)
 
 
-def cells(wind: dc.LocalGridBootstrap, law: Law) -> Floats:
-    """The same, cut at the synoptic steps: (cells, substeps + 1), both ends included."""
-    n = law.substeps
-    path = np.moveaxis(small_scale(wind, law), 2, 1)
-    count = (path.shape[2] - 1) // n
-    windows = np.lib.stride_tricks.sliding_window_view(path, n + 1, axis=2)
-    return windows[:, :, : count * n : n].reshape(-1, n + 1)
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_moments_are_those_of_the_path_step_by_step(
+    wind: dc.LocalGridBootstrap, law: SmallScale
+) -> None:
+    found = Moments.of(cells(wind, law), 6)
+    brute = Moments.of(brute_force_cells(law, 40_000, 6, seed=1), 6)
+    assert (abs(found.z_scores(brute)) < 4).all()
+    other = dataclasses.replace(law, memory_h=1.3 * law.memory_h)
+    brute = Moments.of(brute_force_cells(other, 40_000, 6, seed=1), 6)
+    assert abs(found.z_scores(brute)).max() > 4
 
 
-def innovations(cell: Floats, law: Law, memory_h: float) -> Floats:
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_brute_force_is_the_naive_path(law: SmallScale) -> None:
+    """And its moments have the closed form, with standard errors that are right."""
+    n = law.substeps(6)
+    a = np.exp(-6 / n / law.memory_h)
+    path = law.simulated(50, n, 6, seed=2)
+    start, *normals = np.random.default_rng(2).standard_normal((n + 1, 50))
+    expected = ar1_path(start, a, np.sqrt(1 - a**2), np.array(normals))
+    assert np.allclose(path, expected, rtol=0, atol=1e-12)
+
+    mean, covariance = ar1_moments(n, a, np.sqrt(1 - a**2), 6 / n)
+    closed = np.concatenate([mean, covariance[np.triu_indices(2)]])
+    z = []
+    for seed in range(100):
+        found = Moments.of(brute_force_cells(law, 1_000, 6, seed), 6)
+        errors = [found.mean_error, found.covariance_error[np.triu_indices(2)]]
+        z.append((found.listed() - closed) / np.concatenate(errors))
+    # Four standard errors, of a mean and of a standard deviation.
+    assert (abs(np.mean(z, axis=0)) < 0.4).all()
+    assert (abs(np.std(z, axis=0) - 1) < 4 / np.sqrt(200)).all()
+
+
+def innovations(cell: Floats, law: SmallScale, memory_h: float) -> Floats:
     """What is new in (value, integral) of each cell, normal if the memory is right: (cells, 2)."""
-    n, step = law.substeps, 6 / law.substeps
+    n = law.substeps(6)
+    step = 6 / n
     a = np.exp(-step / memory_h)
     mean, covariance = ar1_moments(n, a, np.sqrt(1 - a**2), step)
     found = np.stack([cell[:, -1], np.trapezoid(cell, dx=step, axis=1)])
@@ -96,7 +107,9 @@ def innovations(cell: Floats, law: Law, memory_h: float) -> Floats:
 
 
 @pytest.mark.parametrize("law", LAWS, ids=str)
-def test_values_and_integrals_have_the_closed_law(wind: dc.LocalGridBootstrap, law: Law) -> None:
+def test_values_and_integrals_have_the_closed_law(
+    wind: dc.LocalGridBootstrap, law: SmallScale
+) -> None:
     cell = cells(wind, law)
     count = len(cell)
     assert count > 9_000
@@ -110,7 +123,7 @@ def test_values_and_integrals_have_the_closed_law(wind: dc.LocalGridBootstrap, l
 
 
 @pytest.mark.parametrize("law", LAWS, ids=str)
-def test_a_wrong_memory_would_be_seen(wind: dc.LocalGridBootstrap, law: Law) -> None:
+def test_a_wrong_memory_would_be_seen(wind: dc.LocalGridBootstrap, law: SmallScale) -> None:
     for factor in (0.75, 1.3):
         new = innovations(cells(wind, law), law, factor * law.memory_h)
         deviation = abs(np.cov(new.T) - np.eye(2)).max()
@@ -118,10 +131,11 @@ def test_a_wrong_memory_would_be_seen(wind: dc.LocalGridBootstrap, law: Law) -> 
 
 
 @pytest.mark.parametrize("law", LAWS, ids=str)
-def test_the_path_inside_a_step_is_a_bridge(wind: dc.LocalGridBootstrap, law: Law) -> None:
+def test_the_path_inside_a_step_is_a_bridge(wind: dc.LocalGridBootstrap, law: SmallScale) -> None:
     """What was filled in later has the law given both ends and the integral."""
     cell = cells(wind, law)
-    n, step = law.substeps, 6 / law.substeps
+    n = law.substeps(6)
+    step = 6 / n
     a = np.exp(-step / law.memory_h)
     sigma = np.sqrt(1 - a**2)
     area = np.trapezoid(cell, dx=step, axis=1)
@@ -136,60 +150,24 @@ def test_the_path_inside_a_step_is_a_bridge(wind: dc.LocalGridBootstrap, law: La
         assert stats.kstest(component, "norm").pvalue > 0.001
 
 
-# What it does to the forecast: strandings under coarse members and under winds made by hand
+# What it does to the forecast: strandings under coarse members and under winds step by step
 
-N = 2_000
-RIGHT, STRONG = Law(0.1, 3.0), Law(0.5, 60.0)
-
-
-def until_stranded(forecast: dc.Forecast) -> Floats:
-    """Stranding times (members,), infinite if afloat."""
-    return np.asarray(np.nan_to_num(forecast.dataset["stranding_time"].to_numpy(), nan=np.inf))
+RIGHT, STRONG, FORGETFUL = SmallScale(0.1, 3.0), SmallScale(0.5, 60.0), SmallScale(0.5, 3.0)
 
 
 @lru_cache
-def coarse_strandings(wind: dc.LocalGridBootstrap, law: Law) -> Floats:
-    """Of the mean-flow model of order 1."""
-    scenario = dc.paper.scenario(1 / 50)
-    wind = dataclasses.replace(wind, share=law.share, memory_h=law.memory_h)
-    forecast = dc.forecast(scenario, wind, members=N, model="mean-flow", order=1, seed=3, keep=0)
-    return until_stranded(forecast)
-
-
-@lru_cache
-def brute_force_strandings(wind: dc.LocalGridBootstrap, law: Law) -> Floats:
-    """Of the full model under other winds, their small scale simulated step by step."""
-    scenario = dc.paper.scenario(1 / 50)
-    random = np.random.default_rng(17)
-    hours = scenario.duration * scenario.hours_per_unit
-    steps, n = int(np.ceil(hours / 6)), law.substeps
-    a = np.exp(-6 / n / law.memory_h)
-    sd = law.share * wind.standard_deviation / np.sqrt(1 - law.share**2)
-    place = np.arange(steps * n + 1) / n
-    strandings = []
-    for part in range(10):  # not all paths at once in memory
-        slow = wind.sample(N // 10, steps + 1, seed=100 + part)
-        start, *normals = random.standard_normal((steps * n + 1, N // 10, 2))
-        small = ar1_path(sd * start, a, sd * np.sqrt(1 - a**2), np.array(normals))
-        paths = []
-        for member in range(N // 10):
-            synoptic = [np.interp(place, np.arange(steps + 1), w) for w in slow[member].T]
-            velocity = (np.transpose(synoptic) + small[:, member]) / scenario.wind_unit
-            paths.append(dc.WindPath(place * 6 / scenario.hours_per_unit, velocity))
-        forecast = dc.forecast(scenario, paths, model="full", keep=0)
-        strandings.append(until_stranded(forecast))
-    return np.concatenate(strandings)
+def strandings(wind: dc.LocalGridBootstrap, law: SmallScale, coarse: bool) -> Floats:
+    return (coarse_strandings if coarse else brute_force_strandings)(wind, law, 2_000)
 
 
 @pytest.mark.parametrize("law", [RIGHT, STRONG], ids=str)
-def test_stranding_times_have_one_law(wind: dc.LocalGridBootstrap, law: Law) -> None:
-    coarse = coarse_strandings(wind, law)
-    brute = brute_force_strandings(wind, law)
+def test_stranding_times_have_one_law(wind: dc.LocalGridBootstrap, law: SmallScale) -> None:
+    coarse, brute = (strandings(wind, law, how) for how in (True, False))
     assert 0.3 < np.isfinite(coarse).mean() < 0.9
-    assert stats.ks_2samp(coarse, brute).pvalue > 0.001
+    assert kolmogorov_smirnov(coarse, brute) > 0.001
 
 
 def test_stranding_times_of_another_memory_have_not(wind: dc.LocalGridBootstrap) -> None:
-    brute = brute_force_strandings(wind, STRONG)
-    for law in (RIGHT, STRONG._replace(memory_h=3.0)):
-        assert stats.ks_2samp(coarse_strandings(wind, law), brute).pvalue < 1e-6
+    brute = strandings(wind, STRONG, coarse=False)
+    for law in (RIGHT, FORGETFUL):
+        assert kolmogorov_smirnov(strandings(wind, law, coarse=True), brute) < 1e-6

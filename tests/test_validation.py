@@ -12,17 +12,34 @@ import numpy as np
 import pytest
 
 import driftcore as dc
-from driftcore import cli, paper, validation, validation_report
-from driftcore.validation import Case, Check, Errors, Integration, Validation
+from driftcore import cli, law, paper, validation, validation_report
+from driftcore.check import Check
+from driftcore.climate import synthetic_record
+from driftcore.validation import Case, Errors, Integration, Validation
+from driftcore.validation_wind import EMBEDDED
+from driftcore.validation_wind_report import law_of_the_wind
+from driftcore.wrong_winds import WRONG
 
 SMALL = validation.Effort(
-    winds=2, winds_of_orders=1, winds_of_costs=1, members=20, rounds=1, halvings=6
+    winds=2,
+    winds_of_orders=1,
+    winds_of_costs=1,
+    members=20,
+    rounds=1,
+    halvings=6,
+    small_scale_paths=5,
 )
 
 
 @pytest.fixture(scope="module")
-def small() -> Validation:
-    return validation.measure(SMALL)
+def record() -> dc.WindRecord:
+    """Six summers that stand for a user's own."""
+    return dc.read_record(synthetic_record(years=6, seed=2), months=(6, 7, 8), label="Six summers")
+
+
+@pytest.fixture(scope="module")
+def small(record: dc.WindRecord) -> Validation:
+    return validation.measure(SMALL, record=record)
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +138,11 @@ def test_check() -> None:
     assert not Check("", 1.1, 1.0).passed
     assert not Check("", 0.8, 1.1, 0.9).passed
     assert not Check("", math.nan, 1.0).passed
+    assert Check.within("", -0.04, 0.04).passed
+    assert not Check.within("", -0.041, 0.04).passed
     assert Check("", 0.0, 7e-4).required == "≤ 0.0007"
     assert Check("", 0.0, 2.1, 1.9).required == "1.9 to 2.1"
+    assert Check.within("", 0.0, 0.04).required == "-0.04 to 0.04"
 
 
 def test_a_failing_check_fails_the_validation(small: Validation) -> None:
@@ -140,6 +160,9 @@ def test_work_for_an_error() -> None:
     assert integration.work_for(0.5) == 100  # met by the coarsest
     assert integration.work_for(0.0025 / 4) == pytest.approx(800)  # beyond the finest
     assert integration.order == pytest.approx(2)
+    # A tolerance that changes the error, not the work.
+    idle = Integration("idle", np.array([[300.0, 300.0, 500.0]]), np.array([[3.0, 1.0, 0.1]]))
+    assert idle.work_for(2.0) == 300
     # An error that grows again counts to its last crossing.
     wavy = Integration("wavy", work[:1, [0, 1, 2, 2]] * [1, 1, 1, 2], np.array([[4, 1, 3, 1.0]]))
     assert wavy.work_for(2) == pytest.approx(400 * 2 ** (math.log(1.5) / math.log(3)))
@@ -159,6 +182,45 @@ def test_euler_in_the_form_of_the_paper_converges_to_the_full_model() -> None:
     assert errors[2] / errors[1] == pytest.approx(0.5, abs=0.01)
 
 
+# The winds
+
+
+def test_every_law_is_measured(small: Validation) -> None:
+    laws = small.laws
+    assert [(one.name, one.wind.mode, one.seasons) for one in laws] == [
+        ("Six summers", "residual", 6),
+        ("Six summers", "lgb", 6),
+        (EMBEDDED, "residual", 20),
+        (EMBEDDED, "lgb", 20),
+    ]
+    for one in laws:
+        assert {c.name[:2] for c in one.checks} == {f"T{k}" for k in range(1, 10)}
+        failed = {c.name for c in one.checks if not c.passed}
+        assert failed == (law.COPIES if one.wind.mode == "lgb" else set())
+        assert one.summary.passed
+
+
+def test_the_default_mode_must_not_copy(small: Validation) -> None:
+    copying = replace(small.laws[0], checks=small.laws[1].checks)
+    assert copying.summary.measured == 2
+    laws = [copying, *small.laws[1:]]
+    failed = [c.name for c in replace(small, laws=laws).checks if not c.passed]
+    assert copying.summary.name in failed
+
+
+def test_a_wrong_wind_that_nothing_finds_fails(small: Validation) -> None:
+    unseen = {name: [Check("T1", 0.0, 1.0)] for name in small.wrong}
+    failed = {c.name for c in replace(small, wrong=unseen).checks if not c.passed}
+    assert {f"wrong wind, {name}: statistics that find it" for name in WRONG} <= failed
+
+
+def test_too_few_seasons_stop_it_early() -> None:
+    frame = synthetic_record(years=4)
+    few = dc.read_record(frame, months=(6, 7, 8))
+    with pytest.raises(dc.RecordError, match=r"4 season\(s\) tell no standard errors"):
+        validation.measure(SMALL, record=few)
+
+
 # The report
 
 
@@ -174,6 +236,11 @@ def test_numbers_are_json(small: Validation, report: Path) -> None:
     errors = small.errors[Case(50, "mean-flow", 2)]
     assert row["position"]["max"] == pytest.approx(errors.position.max(), rel=1e-5)
     assert {"full", "mean-flow order 1"} <= {row["label"] for row in numbers["strandings"]}
+    assert [one["seasons"] for one in numbers["law_of_the_wind"]] == [6, 6, 20, 20]
+    assert set(numbers["wrong_winds"]) == set(WRONG)
+    residual, lgb = numbers["law_of_the_wind"][:2]
+    assert {"h", "log_likelihood"} == set(residual["likelihood"][0])
+    assert {"h", "b", "log_likelihood"} == set(lgb["likelihood"][0])
 
 
 def test_words_have_the_numbers_and_the_figures(small: Validation, report: Path) -> None:
@@ -193,22 +260,82 @@ def test_words_have_the_numbers_and_the_figures(small: Validation, report: Path)
         assert len({line.count("|") for line in table.splitlines()}) == 1
 
 
-def test_validate_prints_the_table(
-    small: Validation, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    efforts = []
+def test_words_on_the_winds(small: Validation, report: Path) -> None:
+    text = (report / "validation.md").read_text(encoding="utf-8")
+    assert "`driftcore validate --record Six summers`" in text
+    assert "The bands of Six summers are wider" in text
+    assert "quantiles 8.3" in text
+    for one in small.laws:
+        for check in one.checks:
+            assert f"{check.measured:.3g}" in text
+    assert text.count("(warns)") == 4
+    # Each chosen bandwidth stands out, with its likelihood.
+    for one in small.laws:
+        best = one.wind.likelihood["log_likelihood"][one.wind.likelihood["h"] == one.wind.h]
+        assert any(f"**{value:.4f}**" in text for value in best)
 
-    def measure(effort: validation.Effort, progress: validation.Progress) -> Validation:
+
+def test_words_without_a_record(small: Validation) -> None:
+    words = law_of_the_wind(small.laws[2:], small.wrong, 6, "figure.png")
+    assert "Six summers" not in words
+    assert "The bands of T1 and T2 are those for 17 seasons or more" in words
+
+
+def test_words_on_a_mode_that_does_not_copy(small: Validation) -> None:
+    one, other = small.laws[2:]
+    words = law_of_the_wind([one, replace(other, checks=one.checks)], small.wrong, 6, "figure.png")
+    assert "Neither mode copies its record" in words
+
+
+def test_validate_prints_the_table(
+    small: Validation,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    calls = []
+
+    def measure(
+        effort: validation.Effort, progress: validation.Progress, record: dc.WindRecord | None
+    ) -> Validation:
         progress("something")
-        efforts.append(effort)
+        calls.append((effort, record and (record.label, record.months)))
         return small if small.passed else replace(small, euler=[])
 
+    file = tmp_path / "mine.csv"
+    synthetic_record(years=1).to_csv(file)
     monkeypatch.setattr(validation, "measure", measure)
     call(monkeypatch)
-    call(monkeypatch, "--full")
-    assert efforts == [validation.DEFAULT, validation.FULL]
+    call(monkeypatch, "--full", "--record", str(file))
+    call(monkeypatch, "--record", str(file), "--months", "8,7")
+    call(monkeypatch, "--record", str(file), "--months", "all")
+    assert calls == [
+        (validation.DEFAULT, None),
+        (validation.FULL, ("mine.csv", (6, 7, 8))),
+        (validation.DEFAULT, ("mine.csv", (7, 8))),
+        (validation.DEFAULT, ("mine.csv", (6, 7, 8))),
+    ]
     out = capsys.readouterr().out
     assert all(word in out for word in ("measured", "required", "0.0007", "ok"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--record", "no.csv"], "there is no file 'no.csv'"),
+        (["--record", "no.csv", "--months", "June"], "months: 'June' is not accepted"),
+        (["--months", "6"], "months: they are those of a record"),
+    ],
+)
+def test_records_that_do_not_serve(
+    arguments: list[str],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(validation, "measure", lambda *_: pytest.fail("measured in vain"))
+    assert call(monkeypatch, *arguments) == 2
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("to_folder", [False, True])

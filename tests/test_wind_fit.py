@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from driftcore import climate
 from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError
-from driftcore.wind import LocalGridBootstrap, WindPath, WindRecord, read_record
+from driftcore.record import WindRecord, read_record
+from driftcore.wind import LocalGridBootstrap, WindPath
 
 Floats = NDArray[np.float64]
 

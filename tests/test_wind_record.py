@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError
-from driftcore.wind import Gaps, Source, WindRecord, read_record
+from driftcore.record import Gaps, Source, WindRecord, read_record
 
 
 def table(start: str = "2001-05-20", rows: int = 80, step: str = "6h") -> pd.DataFrame:

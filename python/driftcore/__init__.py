@@ -26,10 +26,11 @@ from driftcore.forecast import (
     run,
     trajectory,
 )
+from driftcore.record import WindRecord, read_record
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
 from driftcore.statistics import Probability
-from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths, WindRecord, read_record
+from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 __version__ = _core.VERSION
 

@@ -25,7 +25,7 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from driftcore import __version__
-from driftcore.errors import DriftCoreError, DriftCoreWarning
+from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError
 
 if TYPE_CHECKING:
     from driftcore.forecast import Forecast
@@ -190,22 +190,39 @@ def validate(
     full: Annotated[
         bool, typer.Option("--full", help="More winds and smaller steps; takes longer.")
     ] = False,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Wind record (CSV or NetCDF) whose law is measured beside the embedded one's.",
+        ),
+    ] = None,
+    months: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="Its months, or `all`; default 6,7,8."),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Measure the models against each other and the paper's tables, beside what is required.
 
-    Takes minutes. Exit code 1 if a number is not as required.
+    Takes minutes. Exit code 1 if a number is not as required. A record needs at least six seasons.
     """
     from driftcore import validation
     from driftcore.files import filling
+    from driftcore.record import read_record
     from driftcore.validation_report import REPORT, write
 
     effort = validation.FULL if full else validation.DEFAULT
+    if record is None and months is not None:
+        raise RecordError("months: they are those of a record; name it by --record")
+    wind = None if record is None else read_record(record, _months(months or "6,7,8"))
     with ExitStack() as stack:
         # Before the work, so that a folder that cannot be written costs none.
         folder = output and stack.enter_context(filling(output, overwrite, expected=REPORT))
         with err.status("") as status:
-            measured = validation.measure(effort, lambda part: status.update(f"measuring {part}"))
+            measured = validation.measure(
+                effort, lambda part: status.update(f"measuring {part}"), wind
+            )
             if folder is not None:
                 status.update("writing the report")
                 write(measured, folder)
@@ -218,6 +235,17 @@ def validate(
         _say_written([output / REPORT])
     if not measured.passed:
         raise typer.Exit(1)
+
+
+def _months(words: str) -> list[int] | None:
+    if words == "all":
+        return None
+    try:
+        return [int(word) for word in words.split(",")]
+    except ValueError:
+        raise RecordError(
+            f"months: {words!r} is not accepted; use numbers from 1 to 12, like 6,7,8, or all"
+        ) from None
 
 
 def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> Forecast:

@@ -24,6 +24,7 @@ from driftcore.dataset import (
     write_netcdf,
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
+from driftcore.record import WindRecord
 from driftcore.scenario import (
     Circle,
     EnsembleConfiguration,
@@ -34,7 +35,7 @@ from driftcore.scenario import (
     check_order,
 )
 from driftcore.statistics import Probability, probability
-from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths, WindRecord
+from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
     import xarray as xr

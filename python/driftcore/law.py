@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
+from driftcore import paper
+from driftcore.check import Check
 from driftcore.errors import RecordError, ScenarioError
-from driftcore.wind import (
-    _LARGEST_ORDER,
-    Float,
-    Integer,
-    LocalGridBootstrap,
-    WindRecord,
-    _mean_cycle,
-    _rows_with_successor,
-)
+from driftcore.forecast import forecast
+from driftcore.record import Float, Integer, WindRecord, mean_cycle, rows_with_successor
+from driftcore.statistics import chi_square, chi_square_p
+from driftcore.wind import LARGEST_ORDER, LocalGridBootstrap
 
 Simulator: TypeAlias = Callable[[int, int, int | None], tuple[Float, Integer]]
 """From (members, steps, start) to winds (members, steps, 2) [m/s], mean cycle included, and the
@@ -58,12 +54,28 @@ LONGEST = "T4 longest run of such draws"
 REPEATED = "T5 share of values found in the record"
 SPREAD = "T6 standard deviation of {} 30 d after one state, relative error"
 JOINED = "T7 draws of a row without successor"
+STREAMS = "T8 values that another split, length or number of threads changes"
+WEIGHTS = "T9 p-value of the rows drawn at fixed states"
+# The families of T1 and T2, in a word.
+FAMILIES = {
+    "quantiles": QUANTILES,
+    "autocorrelation below 3 d": SHORT_ACF,
+    "from 3 to 10 d": LONG_ACF,
+    "cross-correlation": CROSS,
+    "rose": ROSE,
+    "persistence": PERSISTENCE,
+    "changes": CHANGES,
+    "one step": LAG_ONE,
+}
+COPIES = frozenset({CONTINUED, LONGEST})
 
+# As many as tell standard errors well.
+MANY_SEASONS = 17
 # Largest |z| accepted of a record of 6, 10, and 17 or more seasons. For few seasons, whose standard
 # errors are poor themselves, it is the 99 % quantile of what `calibrate` finds for the embedded
 # climate, `calibrate(driftcore.paper.default_wind(), seasons)`. The last column is stricter than
 # that (quantiles: 4.6), as may be asked of a generator that was fitted to the record.
-_SEASONS = (6, 10, 17)
+_SEASONS = (6, 10, MANY_SEASONS)
 _LIMITS: dict[str, tuple[float, float, float]] = {
     QUANTILES: (8.3, 6.2, 3.0),
     SHORT_ACF: (10.1, 5.7, 3.0),
@@ -78,28 +90,8 @@ _LARGEST_DEVIATION = 0.04
 _LARGEST_CONTINUED = 0.15
 _LONGEST_RUN = 12
 _LARGEST_SPREAD_ERROR = 0.1
-
-
-@dataclass(frozen=True)
-class Statistic:
-    """What was measured of a generator beside the largest magnitude accepted.
-
-    Attributes
-    ----------
-    name : str
-        One of the names of this module, in words; T1 to T7 number the tests.
-    measured, limit : float
-        For T1 and T2 the largest of the family's |z|; T3 and T6 have a sign.
-    """
-
-    name: str
-    measured: float
-    limit: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the magnitude is within the limit."""
-        return abs(self.measured) <= self.limit
+_LEAST_P = 0.001
+_FIXED_STATES, _DRAWS = 8, 20_000
 
 
 def simulator(wind: LocalGridBootstrap, seed: int) -> Simulator:
@@ -123,13 +115,15 @@ def assess(
     *,
     seasons: int = 200,
     seed: int = 1,
-) -> list[Statistic]:
-    """Measure T1 to T7: whether a generator has the law of a record and does not copy it.
+) -> list[Check]:
+    """Measure T1 to T9: whether a generator has the law of a record and does not copy it.
 
     T1 and T2 compare shares and correlations: of the record's quantiles (how often a simulated
     value is below), the rose of 16 sectors and 4 classes of speed, speeds that stay above or
     below a level for a step and for a day, changes |ΔW| in a step, auto- and cross-correlations.
-    T6 follows members from the windiest state of the record, 28 to 32 days later.
+    T6 follows members from the windiest state of the record, 28 to 32 days later. T8 and T9 are
+    measured of a bootstrap alone, whose members, threads and weights are known: the same members
+    are simulated otherwise, and rows drawn at fixed states are counted.
 
     Parameters
     ----------
@@ -143,7 +137,9 @@ def assess(
 
     Returns
     -------
-    list of Statistic
+    list of Check
+        Named by this module, T1 to T9 number the tests. For T1 and T2 the largest of the family's
+        |z|; T3 and T6 have a sign.
 
     Raises
     ------
@@ -163,14 +159,18 @@ def assess(
     years = np.unique(seasons_of_pieces)
     values, drawn = simulate(seasons, round(len(record) / len(years)), None)
     scores = _scores(pieces, seasons_of_pieces, values, record.step_h, seed)
+    of_bootstrap = []
+    if isinstance(wind, LocalGridBootstrap):
+        of_bootstrap = [_streams(wind, seed), _weights(wind, seed)]
     return [
         *(
-            Statistic(name, float(np.abs(z).max(initial=0)), limit(name, len(years)))
+            Check(name, float(np.abs(z).max(initial=0)), limit(name, len(years)))
             for name, z in scores.items()
         ),
         *_deviations(values, record),
         *_copies(values, drawn, record),
         *_spread(simulate, record),
+        *of_bootstrap,
     ]
 
 
@@ -379,15 +379,15 @@ def _thresholds(values: Float, levels: tuple[float, ...]) -> Float:
 # T3 to T7
 
 
-def _deviations(values: Float, record: WindRecord) -> list[Statistic]:
+def _deviations(values: Float, record: WindRecord) -> list[Check]:
     error = values.std(axis=(0, 1)) / record.velocity.std(axis=0) - 1
     return [
-        Statistic(DEVIATION.format(name), float(e), _LARGEST_DEVIATION)
+        Check.within(DEVIATION.format(name), float(e), _LARGEST_DEVIATION)
         for name, e in zip("uv", error, strict=True)
     ]
 
 
-def _copies(values: Float, drawn: Integer, record: WindRecord) -> list[Statistic]:
+def _copies(values: Float, drawn: Integer, record: WindRecord) -> list[Check]:
     continued = np.diff(drawn, axis=1) == 1
     run = np.zeros(len(drawn), dtype=np.int64)
     longest = 0
@@ -398,10 +398,10 @@ def _copies(values: Float, drawn: Integer, record: WindRecord) -> list[Statistic
     repeated = np.isin(_keys(values[:, 1:]), _keys(record.velocity)).mean()
     last = np.diff(record.segment, append=-1) != 0
     return [
-        Statistic(CONTINUED, float(continued.mean()), _LARGEST_CONTINUED),
-        Statistic(LONGEST, longest, _LONGEST_RUN),
-        Statistic(REPEATED, float(repeated), 0.0),
-        Statistic(JOINED, int(last[drawn].sum()), 0),
+        Check(CONTINUED, float(continued.mean()), _LARGEST_CONTINUED),
+        Check(LONGEST, longest, _LONGEST_RUN),
+        Check(REPEATED, float(repeated), 0.0),
+        Check(JOINED, int(last[drawn].sum()), 0),
     ]
 
 
@@ -411,18 +411,56 @@ def _keys(values: Float) -> Integer:
     return np.asarray((whole[..., 0] << 32) + whole[..., 1])
 
 
-def _spread(simulate: Simulator, record: WindRecord, members: int = 200) -> list[Statistic]:
+def _spread(simulate: Simulator, record: WindRecord, members: int = 200) -> list[Check]:
     """T6, over whole days around day 30: 200 members at one hour tell 5 % only."""
     speed = np.hypot(*record.velocity.T)
-    candidates = _rows_with_successor(record, _LARGEST_ORDER)
+    candidates = rows_with_successor(record, LARGEST_ORDER)
     start = int(candidates[speed[candidates].argmax()])
     first, stop = (days * max(1, round(24 / record.step_h)) for days in _SPREAD_DAYS)
     values, _ = simulate(members, stop, start)
-    phase, cycle = _mean_cycle(record)
+    phase, cycle = mean_cycle(record)
     climate = (record.velocity - cycle[phase]).var(axis=0)
     reached = values[:, first:].var(axis=0, ddof=1).mean(axis=0)
     error = np.sqrt(reached / climate) - 1
     return [
-        Statistic(SPREAD.format(name), float(e), _LARGEST_SPREAD_ERROR)
+        Check.within(SPREAD.format(name), float(e), _LARGEST_SPREAD_ERROR)
         for name, e in zip("uv", error, strict=True)
     ]
+
+
+# T8 and T9
+
+
+def _streams(wind: LocalGridBootstrap, seed: int) -> Check:
+    """T8: members one by one or in parts, shorter, and in forecasts on one to three threads."""
+    members, steps = 12, 120
+    whole = wind.core.sample(members, steps, seed)
+    different = 0
+    for size in (1, 5):
+        for first in range(0, members, size):
+            count = min(size, members - first)
+            part = wind.core.sample(count, steps // size, seed, first_member=first)
+            for simulated, expected in zip(part, whole, strict=True):
+                own = expected[first : first + count, : steps // size]
+                different += int((simulated != own).sum())
+    alone, *others = (
+        forecast(paper.scenario(), wind, members=members, seed=seed, threads=n, chunk=13 - 4 * n)
+        for n in (1, 2, 3)
+    )
+    for name, variable in alone.dataset.data_vars.items():
+        for other in others:
+            values, same = variable.to_numpy(), other.dataset[name].to_numpy()
+            different += int(((values != same) & ((values == values) | (same == same))).sum())
+    return Check(STREAMS, different, 0)
+
+
+def _weights(wind: LocalGridBootstrap, seed: int) -> Check:
+    """T9, between states of the record, where a chain that does not copy it is."""
+    statistic, freedom = 0.0, 0
+    for row in np.linspace(1, len(wind.states) - 1, _FIXED_STATES).astype(int):
+        state = wind.states[row - 1 : row + 1].mean(axis=0)
+        drawn = wind.core.draws_at(state, _DRAWS, seed + int(row), int(row) - 1)
+        counts = np.bincount(np.searchsorted(wind.row, drawn), minlength=len(wind.row))
+        found = chi_square(counts, _DRAWS * wind.weights(state))
+        statistic, freedom = statistic + found[0], freedom + found[1]
+    return Check(WEIGHTS, chi_square_p(statistic, freedom), 1.0, _LEAST_P)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "convergence",
+    "likelihood",
     "plane",
     "roses",
     "save_all",
@@ -488,6 +489,50 @@ def convergence(
             linewidth=1.0,
             label=label,
         )
+    _labels(axes, x_label, y_label)
+    _grid(axes)
+    _legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.2), borderaxespad=0.0)
+    return artists
+
+
+def likelihood(
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    chosen: Mapping[str, tuple[float, float]],
+    x_label: str,
+    y_label: str,
+    ax: Axes | None = None,
+) -> list[Artist]:
+    """Draw log-likelihoods against a parameter on a logarithmic axis, with what was chosen.
+
+    Parameters
+    ----------
+    curves : mapping of str to pairs of array_like
+        By legend entry: parameters above 0 and log-likelihoods [nats], shape ``(k,)`` each.
+    chosen : mapping of str to pairs of float
+        By the same: the point to mark.
+    x_label, y_label : str
+        What the axes show.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; left out, a new figure 7 in wide.
+
+    Returns
+    -------
+    list of matplotlib.artist.Artist
+        A line and a mark per curve.
+    """
+    axes = _figure(_TIMES).subplots() if ax is None else ax
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
+
+    artists: list[Artist] = []
+    for (label, curve), colour in zip(curves.items(), (_BLUE, _VERMILION, _GREEN), strict=False):
+        x, values = map(np.asarray, curve)
+        style: dict[str, Any] = {"color": colour, "linewidth": 1.0}
+        artists += axes.semilogx(x, values, marker="o", markersize=3.0, label=label, **style)
+        artists += axes.plot(*chosen[label], marker="*", markersize=11.0, **style)
+    # A factor of ten or less has room for plain numbers.
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_locator(NullLocator())
     _labels(axes, x_label, y_label)
     _grid(axes)
     _legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.2), borderaxespad=0.0)

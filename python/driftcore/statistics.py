@@ -1,7 +1,8 @@
-"""Estimates from counts, each with its interval."""
+"""Estimates from counts, each with its interval, and tests of whether two laws are one."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -9,6 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore.errors import ScenarioError
+
+_LEAST_EXPECTED = 8
+# Kolmogorov's distribution function is below 1e-12 there.
+_ALWAYS_REACHED = 0.2
 
 
 @dataclass(frozen=True)
@@ -74,3 +79,54 @@ def probability(count: int, members: int, level: float = 0.95) -> Probability:
         raise ScenarioError(f"members: {members} is not accepted; no member could be followed")
     low, high = wilson(count, members, level)
     return Probability(count / members, float(low), float(high), count, members, level)
+
+
+def chi_square(counts: ArrayLike, expected: ArrayLike) -> tuple[float, int]:
+    """Pearson's statistic and its degrees of freedom, for counts of the same total as expected.
+
+    Neighbours in size are counted together, from the smallest expectations on, until eight are
+    expected: with fewer the statistic has not the law of χ².
+
+    Parameters
+    ----------
+    counts, expected : array_like of shape (n,)
+        What was counted, and the mean of it.
+    """
+    observed, mean = np.asarray(counts, dtype=float), np.asarray(expected, dtype=float)
+    group = np.zeros(len(mean), dtype=np.int64)
+    last, gathered = 0, 0.0
+    for k in np.argsort(mean):
+        group[k] = last
+        gathered += mean[k]
+        if gathered >= _LEAST_EXPECTED:
+            last, gathered = last + 1, 0.0
+    # What is left over joins the group before.
+    group = np.minimum(group, max(last - 1, 0))
+    observed, mean = np.bincount(group, observed), np.bincount(group, mean)
+    return float(((observed - mean) ** 2 / mean).sum()), len(mean) - 1
+
+
+def chi_square_p(statistic: float, freedom: int) -> float:
+    """Probability that χ² of `freedom` degrees is as large: the sum that Γ(freedom/2, ·) is."""
+    half = statistic / 2
+    if half <= 0:
+        return 1.0
+    powers = np.arange(freedom % 2 / 2, freedom / 2)
+    terms = [math.exp(a * math.log(half) - half - math.lgamma(a + 1)) for a in powers]
+    return (math.erfc(math.sqrt(half)) if freedom % 2 else 0.0) + math.fsum(terms)
+
+
+def kolmogorov_smirnov(one: ArrayLike, other: ArrayLike) -> float:
+    """p-value of the two-sample test by Kolmogorov and Smirnov, from its limit for large samples.
+
+    Values may be infinite and may be equal, which makes the test cautious.
+    """
+    first, second = np.sort(one), np.sort(other)
+    places = np.concatenate([first, second])
+    below = [np.searchsorted(x, places, side="right") / len(x) for x in (first, second)]
+    size = len(first) * len(second) / len(places)
+    distance = np.sqrt(size) * np.abs(below[0] - below[1]).max()
+    if distance < _ALWAYS_REACHED:  # where the series below converges slowly
+        return 1.0
+    k = np.arange(1, 101)
+    return float(2 * ((-1.0) ** (k - 1) * np.exp(-2 * (k * distance) ** 2)).sum())

@@ -15,6 +15,7 @@ import numpy as np
 
 from driftcore import _core, paper, plot
 from driftcore.forecast import forecast, member_path, trajectory
+from driftcore.markdown import bullets, paragraphs, table
 from driftcore.validation import (
     FULL,
     FULL_A,
@@ -38,6 +39,8 @@ from driftcore.validation import (
     sample_times,
     slope,
 )
+from driftcore.validation_wind import EMBEDDED
+from driftcore.validation_wind_report import exact_in_law, law_of_the_wind, likelihood_figure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -74,6 +77,13 @@ def write(validation: Validation, folder: Path) -> None:
         _orders(validation),
         _cost(validation),
         _strandings(validation),
+        law_of_the_wind(
+            validation.laws,
+            validation.wrong,
+            validation.effort.summers,
+            f"{_FIGURES}/likelihood.png",
+        ),
+        exact_in_law(validation.exact),
         _figures(validation, member),
     ]
     _draw(validation, member, folder / _FIGURES)
@@ -101,7 +111,8 @@ def machine() -> str:
 
 def _heading(v: Validation, about: dict[str, str]) -> str:
     command = "driftcore validate" + (" --full" if v.effort == FULL else "")
-    return "# Validation\n\n" + _paragraphs(
+    command += "".join(f" --record {name}" for name in _records(v))
+    return "# Validation\n\n" + paragraphs(
         f"""
         What driftcore's models do on the paper's case: measured and written by `{command}`,
         nothing is edited by hand. Version {about["version"]}, {about["date"]};
@@ -126,6 +137,11 @@ def _heading(v: Validation, about: dict[str, str]) -> str:
     )
 
 
+def _records(v: Validation) -> list[str]:
+    """Give the names of the records beside the embedded one."""
+    return sorted({one.name for one in v.laws} - {EMBEDDED})
+
+
 def _required(v: Validation) -> str:
     rows = [
         [c.name, f"{c.measured:.4g}", c.required, "yes" if c.passed else "**no**"] for c in v.checks
@@ -143,7 +159,7 @@ def _required(v: Validation) -> str:
                 "east, where the paper's tide, in proportion to x, is stronger: error and "
                 f"easternmost position correlate to {likeness:.2f}."
             )
-    words = _paragraphs(
+    words = paragraphs(
         f"""
         The figures for ε = 1/50 with wind are compared with means over the winds, since the
         paper's own (0.0023 in position, 0.0460 in velocity) are such means.
@@ -152,11 +168,13 @@ def _required(v: Validation) -> str:
         """
         Errors without wind must round to what SciPy's DOP853 found from the same equations before
         driftcore was written. Orders may differ from the theory's by 0.1. Averaging may change the
-        probability of stranding by a tenth of the half-width of its interval.
+        probability of stranding by a tenth of the half-width of its interval. What is required of
+        the winds is told in [their section](#the-law-of-the-wind) and
+        [the one after it](#exact-in-law).
         """,
     )
-    table = _table(["what", "measured", "required", "met"], rows)
-    return f"## Measured against required\n\n{table}\n\n{words}"
+    found = table(["what", "measured", "required", "met"], rows)
+    return f"## Measured against required\n\n{found}\n\n{words}"
 
 
 def _tables(v: Validation) -> str:
@@ -177,13 +195,13 @@ def _tables(v: Validation) -> str:
         printed = printed_numbers(paper.PRINTED[50, 0.1][column])[0]
         return _two_digits(printed / v.mean(Case(50, "mean-flow", order), norm))
 
-    begin = _paragraphs(
+    begin = paragraphs(
         """
         The paper's entries, and ours by its expansion; order 1 with its wind terms $B_W$ and
         without. Order 0 has none.
         """
     )
-    mean_flow = _paragraphs(
+    mean_flow = paragraphs(
         f"""
         It has no window: the wind enters by its exact integral. At ε = 1/{TIDES_OF_ORDERS[-1]}
         there are {v.effort.winds_of_orders} winds, and the run of 104 days is longer than the
@@ -203,7 +221,7 @@ def _tables(v: Validation) -> str:
             *parts,
             "### The mean-flow expansion",
             mean_flow,
-            _table(["ε", "order", *_NORMS], rows),
+            table(["ε", "order", *_NORMS], rows),
             "### In words",
             _words_on_tables(v),
         ]
@@ -238,7 +256,7 @@ def _printed_table(v: Validation, tides: int) -> str:
     zero, one = (Case(tides, "paper", order, calm=True) for order in (0, 1))
     rows.append([label, "ours", *ours(zero, one)])
     columns = (f"{norm}, order {order}" for norm, order in product(_NORMS, (0, 1)))
-    return _table(["window", "", *columns], rows)
+    return table(["window", "", *columns], rows)
 
 
 def _words_on_tables(v: Validation) -> str:
@@ -271,7 +289,7 @@ def _words_on_tables(v: Validation) -> str:
     )
     return "\n\n".join(
         [
-            _paragraphs(
+            paragraphs(
                 f"""
                 **Order 0 agrees.** Without wind, at ε = 1/50, the position error is
                 {calm.position[0]:.4f} here and {paper.PRINTED[50, None][2]} in the paper. With wind
@@ -286,8 +304,8 @@ def _words_on_tables(v: Validation) -> str:
                 Exponents of ε by regression of the means over ε = 1/25, 1/50, 1/100:
                 """,
             ),
-            _table(["window", "order 1 of", "paper", "ours", "ours, without B_W"], rows),
-            _paragraphs(
+            table(["window", "order 1 of", "paper", "ours", "ours, without B_W"], rows),
+            paragraphs(
                 """
                 Without $B_W$ ours do where the window is short. With windows in proportion to the
                 tide the exponent sinks towards 1: $U^0$ follows the wind smoothed over p, which is
@@ -323,22 +341,22 @@ def _orders(v: Validation) -> str:
     return "\n\n".join(
         [
             "## Orders of convergence",
-            _paragraphs(
+            paragraphs(
                 f"""
                 Exponent of ε by regression over 1/25, 1/50, 1/100, 1/200; with wind, of the mean
                 over {v.effort.winds_of_orders} winds. All must lie within 0.1 of what is expected.
                 """
             ),
-            _table(["model", "expected", *_NORMS], rows),
-            _paragraphs(
+            table(["model", "expected", *_NORMS], rows),
+            paragraphs(
                 """
                 Exponent of the step in the position error of explicit Euler against the same model
                 solved exactly, four finest steps, ε = 1/50 (expected: 1):
                 """
             ),
-            _table(["model", "order"], steps),
+            table(["model", "order"], steps),
             f"![Errors against ε, and against the work of the methods]({_FIGURES}/convergence.png)",
-            _paragraphs(
+            paragraphs(
                 """
                 Above: mean errors of the models, with exponents. Below: mean errors of the methods
                 at ε = 1/50, left explicit Euler, right Dormand–Prince at relative tolerances from
@@ -346,7 +364,9 @@ def _orders(v: Validation) -> str:
                 mean-flow orders 1 and 2. Curves that are short have their longest step already,
                 a tenth of a tide in the full model and a tide in the mean-flow ones, and a
                 tolerance changes little. Dormand–Prince being adaptive, its orders are measured by
-                the tests of the compiled core, in `rust/src/dopri5.rs`.
+                the tests of the compiled core, `local_orders` in `rust/src/dopri5.rs`, by
+                regression over seven step sizes: 5, of the embedded method 4, of the dense output
+                4, each within 0.2.
                 """
             ),
         ]
@@ -366,7 +386,7 @@ def _cost(v: Validation) -> str:
             needed = [method[full].work_for(level) for full in fulls]
             cells = [f"{n:,.0f} (× {_two_digits(n / work)})" for n in needed]
             rows.append([label, f"{level:.2g} ({source})", f"{work:,.0f}", *cells])
-        return _table(["averaged model", "error E", "its own", *fulls], rows)
+        return table(["averaged model", "error E", "its own", *fulls], rows)
 
     def ratio(full: str, label: str, level: float) -> float:
         return euler[full].work_for(level) / euler[label].work_for(level)
@@ -401,7 +421,7 @@ def _cost(v: Validation) -> str:
     return "\n\n".join(
         [
             "## What averaging costs and saves",
-            _paragraphs(
+            paragraphs(
                 f"""
                 The paper: by Euler's method the full system "requires about 1000 more iterations"
                 than the averaged one at the same accuracy, and one of its iterations is 20 times
@@ -413,7 +433,7 @@ def _cost(v: Validation) -> str:
                 "**Euler steps in a run**",
             ),
             counts(euler, (FULL_EXPANDED, FULL_A, FULL_B)),
-            _paragraphs(
+            paragraphs(
                 f"""
                 "{FULL_EXPANDED}" is the paper's own form: unknowns X and V, and on the right-hand
                 side the derivatives of the sea, of size 1/ε. Its counts beyond
@@ -425,26 +445,26 @@ def _cost(v: Validation) -> str:
                 run, in each of which the models take turns:
                 """,
             ),
-            _table(["model", "median [least, greatest]", "over A", "over B"], costs),
-            _paragraphs(
+            table(["model", "median [least, greatest]", "over A", "over B"], costs),
+            paragraphs(
                 """
                 **Evaluations of the right-hand side by Dormand–Prince**, its tolerance chosen for
                 the same errors:
                 """
             ),
             counts(adaptive, (FULL_A, FULL_B)),
-            _paragraphs(
+            paragraphs(
                 f"""
                 **Work of the paper's system against its window**, Dormand–Prince at a relative
                 tolerance of 1e-8, means over {v.effort.winds} winds. Mean-flow orders 1 and 2 take
                 {evaluations[0]:,.0f} and {evaluations[1]:,.0f} evaluations.
                 """
             ),
-            _table(
+            table(
                 ["window", "steps", "evaluations", "steps, no B_W", "evaluations, no B_W"], windows
             ),
             "What this says:",
-            _bullets(
+            bullets(
                 f"""
                 In the paper's own form the full system needs {expanded} times the Euler steps of
                 the paper's averaged one at the error that the paper prints, and
@@ -516,15 +536,15 @@ def _strandings(v: Validation) -> str:
     return "\n\n".join(
         [
             "## Stranding: the full model and the averaged ones",
-            _paragraphs(
+            paragraphs(
                 f"""
                 The same {v.effort.members:,} winds, ε = 1/50, the paper's circle; each model beside
                 the full one. "Decided differently" counts the members that strand in one and not in
                 the other; delay and distance are those of strandings in both.
                 """
             ),
-            _table(header, rows),
-            _paragraphs(
+            table(header, rows),
+            paragraphs(
                 f"""
                 Mean-flow order 1 decides {order_1.different} of {v.effort.members:,} members
                 differently and moves {late} strandings by more than half a tide: a body that a
@@ -544,12 +564,12 @@ def _figures(v: Validation, member: int) -> str:
     in_epsilon_squared = errors.position[member] * 50**2
 
     def figure(name: str, title: str, caption: str) -> str:
-        return f"![{title}]({_FIGURES}/{name}.png)\n\n{_paragraphs(caption)}"
+        return f"![{title}]({_FIGURES}/{name}.png)\n\n{paragraphs(caption)}"
 
     return "\n\n".join(
         [
             "## The paper's figures",
-            _paragraphs(
+            paragraphs(
                 f"""
                 The panels of the paper's figures, ε = 1/50. In the first three p = ε/2 and order 1
                 with $B_W$, as in the paper, and member {member}, whose position error is the
@@ -627,6 +647,7 @@ def _draw(v: Validation, member: int, folder: Path) -> None:
         curves = {i.label: (i.work.mean(axis=0), i.error.mean(axis=0)) for i in method}
         plot.convergence(curves, f"{work} in the run", "position error of the method", panel)
     figure.savefig(folder / "convergence.png", dpi=200)
+    likelihood_figure(v.laws).savefig(folder / "likelihood.png", dpi=200)
     for image in folder.glob("*.png"):
         _use_palette(image)
 
@@ -704,20 +725,6 @@ def _spread(values: Floats, decimals: int | None = None) -> str:
 def _two_digits(value: float) -> str:
     """Word a ratio with two digits and no exponent."""
     return f"{value:.1f}" if value < 9.95 else f"{float(f'{value:.2g}'):,.0f}"
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def _paragraphs(*texts: str) -> str:
-    """Join texts as paragraphs of one line each."""
-    return "\n\n".join(" ".join(text.split()) for text in texts)
-
-
-def _bullets(*texts: str) -> str:
-    return "\n".join("* " + " ".join(text.split()) for text in texts)
 
 
 def _rounded(value: Any) -> Any:
