@@ -562,37 +562,59 @@ fn splines_reproduce_cubics() {
     }
 }
 
-/// A tide `z₀ + gx`, constant in y and growing as `1 + rt`, on a grid of one row: its bounds are
-/// those of the nodes that can matter, and exact where they are sums of differences.
+/// A tide `z₀ + gx + ky` that grows as `1 + rt`: its bounds are those of the nodes that can
+/// matter, and exact where they are sums of differences.
 #[test]
 fn bounds_of_a_linear_tide() {
-    let (g, r) = (0.7, 0.3);
-    let x = Axis { start: 0.0, step: 1.0, count: 10 };
-    let y = Axis { start: 0.0, step: 1.0, count: 1 };
-    let time = Axis { start: 0.0, step: 0.5, count: 4 };
+    let (g, k, r) = (0.7, 0.2, 0.3);
+    let axis = |step, count| Axis { start: 0.0, step, count };
+    let (x, y, time) = (axis(1.0, 10), axis(2.0, 6), axis(0.5, 4));
     let mut coefficients = Vec::new();
     for it in 0..6 {
-        for ix in 0..12 {
-            let (t, x) = (0.5 * (f64::from(it) - 1.0), f64::from(ix) - 1.0);
-            let z = Complex64::new(0.0, (2.0 + g * x) * (1.0 + r * t));
-            // The residual has a mean and one harmonic.
-            let mean = Complex64::new(0.1, 0.0);
-            coefficients.extend([z * 0.6, z * 0.8, mean, mean * 0.0, mean * 0.0, mean]);
+        for iy in 0..8 {
+            for ix in 0..12 {
+                let node = |axis: Axis, i: i32| axis.step * (f64::from(i) - 1.0);
+                let (t, y, x) = (node(time, it), node(y, iy), node(x, ix));
+                let z = Complex64::new(0.0, (2.0 + g * x + k * y) * (1.0 + r * t));
+                // The residual has a mean and one harmonic.
+                let (mean, none) = (Complex64::new(0.1, 0.0), Complex64::new(0.0, 0.0));
+                coefficients.extend([z * 0.6, z * 0.8, mean, none, none, mean]);
+            }
         }
     }
     let sea = GriddedSea::new(0.1, [x, y, time], 1, 6, coefficients).unwrap();
-    // Within 0.2 of x = 4.5 only the cell from 4 to 5 matters: nodes 3 to 6, times to 2.
-    let bounds = sea.bounds(Vec2::new(4.5, 99.0), 0.2);
-    assert!((bounds.tide - (2.0 + 6.0 * g) * (1.0 + 2.0 * r)).abs() < 1e-12);
-    assert!((bounds.gradient - g * (1.0 + 2.0 * r)).abs() < 1e-12);
-    assert!((bounds.rate - (2.0 + 6.0 * g) * r).abs() < 1e-12);
+    // Within 0.2 of (4.5, 5) only one cell matters: nodes 3 to 6 and 2 to 8, times to 2.
+    let bounds = sea.bounds(Vec2::new(4.5, 5.0), 0.2);
+    let largest = 2.0 + 6.0 * g + 8.0 * k;
+    assert!((bounds.tide - largest * (1.0 + 2.0 * r)).abs() < 1e-12);
+    assert!((bounds.gradient - (g + k) * (1.0 + 2.0 * r)).abs() < 1e-12);
+    assert!((bounds.rate - largest * r).abs() < 1e-12);
     assert!((bounds.residual - 0.2).abs() < 1e-12);
-    // The ball reaches over a grid line: one node more.
-    let wider = sea.bounds(Vec2::new(4.5, 0.0), 0.6);
-    assert!((wider.tide - (2.0 + 7.0 * g) * (1.0 + 2.0 * r)).abs() < 1e-12);
-    assert!(sea.velocity(0.1, Vec2::new(4.5, -99.0)).is_ok());
-    assert!(sea.velocity(0.1, Vec2::new(9.1, 0.0)).is_err());
-    assert!(sea.velocity(0.1, Vec2::new(-0.1, 0.0)).is_err());
+    // The ball reaches over a grid line of x: one node more.
+    let wider = sea.bounds(Vec2::new(4.5, 5.0), 0.6);
+    assert!((wider.tide - (largest + g) * (1.0 + 2.0 * r)).abs() < 1e-12);
+    for (x, y, inside) in
+        [(9.0, 10.0, true), (9.1, 5.0, false), (-0.1, 5.0, false), (4.0, 10.1, false)]
+    {
+        assert_eq!(sea.velocity(0.1, Vec2::new(x, y)).is_ok(), inside, "({x}, {y})");
+    }
+}
+
+/// An axis of one point is constant and has no end.
+#[test]
+fn a_sea_of_one_row() {
+    let (x, one) =
+        (Axis { start: 0.0, step: 1.0, count: 4 }, Axis { start: 0.0, step: 1.0, count: 1 });
+    let row = (-1..=4).flat_map(|i| [f64::from(i), 1.0].map(Complex64::from));
+    let sea = GriddedSea::new(1.0, [x, one, one], 1, 2, row.collect()).unwrap();
+    for y in [0.0, 1e6, -1e6] {
+        // Re[Z e^{iωt}] at t = 1/6, cos ωt = ½.
+        let velocity = sea.velocity(1.0 / 6.0, Vec2::new(1.7, y)).unwrap();
+        assert!((velocity - Vec2::new(0.85, 0.5)).norm() < 1e-12);
+    }
+    let bounds = sea.bounds(Vec2::new(1.5, 1e6), 0.1);
+    assert!((bounds.tide - 10f64.sqrt()).abs() < 1e-12 && (bounds.gradient - 1.0).abs() < 1e-12);
+    assert_eq!((bounds.rate, bounds.residual), (0.0, 0.0));
 }
 
 #[test]
