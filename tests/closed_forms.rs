@@ -10,7 +10,7 @@ use driftcore::coast::{Coast, Side};
 use driftcore::dopri5::{Options, Step, Work, euler, integrate};
 use driftcore::ensemble::{self, Scenario, Status, Winds};
 use driftcore::error::DriftError;
-use driftcore::field::academic::AcademicSea;
+use driftcore::field::academic::{AcademicSea, SeparableCurrent};
 use driftcore::field::gridded::{Axis, GriddedSea};
 use driftcore::field::{FieldBounds, Harmonics, SeaField, Vec2, in_phase, phasors, real};
 use driftcore::model::{Formulation, Model, Piece, Problem, Reach, Solver};
@@ -316,12 +316,19 @@ fn steps_are_limited_by_the_tide() {
 #[test]
 fn runs_end_as_they_must() {
     let options = Options { rtol: 1e-6, atol: 1e-6, max_step: 1.0, first_step: None };
-    let singular = |t: f64, _: &Vector1<f64>| Ok(Vector1::new(1.0 / (0.5 - t).max(0.0)));
     let go_on = |_: &Step<1>| Ok(ControlFlow::Continue(()));
-    let run = integrate(singular, (0.0, 2.0), Vector1::new(0.0), options, go_on);
-    assert!(matches!(run, Err(DriftError::Integration { .. })));
-    let run = euler(singular, (0.0, 2.0), Vector1::new(0.0), 0.25, go_on);
-    assert!(matches!(run, Err(DriftError::Integration { t, .. }) if t == 0.5));
+    for beyond in [f64::NAN, f64::INFINITY] {
+        let broken =
+            |t: f64, _: &Vector1<f64>| Ok(Vector1::new(if t < 0.5 { 1.0 } else { beyond }));
+        let finite = |step: &Step<1>| {
+            assert!(step.y_end.x.is_finite() && step.end < 0.5);
+            Ok(ControlFlow::Continue(()))
+        };
+        let run = integrate(broken, (0.0, 2.0), Vector1::new(0.0), options, finite);
+        assert!(matches!(run, Err(DriftError::Integration { t, .. }) if t < 0.5), "{run:?}");
+        let run = euler(broken, (0.0, 2.0), Vector1::new(0.0), 0.25, go_on);
+        assert!(matches!(run, Err(DriftError::Integration { t, .. }) if t == 0.5));
+    }
 
     let mut seen = 0;
     let stop = |_: &Step<1>| {
@@ -636,6 +643,18 @@ fn broken_seas_are_refused() {
     bad[17] = Complex64::new(0.0, f64::NAN);
     assert!(sea(axis(4), 1, 4, bad).is_err());
     assert!(AcademicSea::paper(0.0).is_err());
+    let current = SeparableCurrent {
+        mean: 1.0,
+        modulation: 0.0,
+        cycles: 0.0,
+        phase: 0.0,
+        axis: 2,
+        sines: vec![Vec2::new(1.0, 0.0)],
+    };
+    let good = SeparableCurrent { axis: 1, ..current.clone() };
+    assert!(AcademicSea::new(0.1, good.clone(), good.clone(), 1.0).is_ok());
+    assert!(AcademicSea::new(0.1, current.clone(), good.clone(), 1.0).is_err());
+    assert!(AcademicSea::new(0.1, good, current, 1.0).is_err());
 }
 
 // Wind
@@ -743,6 +762,75 @@ fn one_row_is_a_linear_recurrence() {
     let winds = sample(&bootstrap, 1, 0..1, 50, None).unwrap().wind;
     for (k, wind) in winds.iter().enumerate() {
         assert!((wind - state(k as f64) - Vec2::new(7.0, -8.0)).norm() < 1e-12, "step {k}");
+    }
+}
+
+/// A catalogue of one row, without a predictor, gives white noise of covariance `BBᵀ`.
+fn white(noise: [f64; 4]) -> Bootstrap {
+    Bootstrap::new(Catalogue {
+        order: 1,
+        states: vec![0.0, 0.0],
+        whitening: vec![1.0, 0.0, 0.0, 1.0],
+        target: vec![0.0, 0.0],
+        predictor: vec![0.0; 6],
+        noise: noise.to_vec(),
+        row: vec![1],
+        phase: vec![0],
+        start: vec![true],
+        cycle: vec![0.0, 0.0],
+        bandwidth: 0.5,
+    })
+    .unwrap()
+}
+
+/// 40,000 steps: standard errors of the moments below are at most 2/√40,000 of the variances'
+/// geometric mean; the thresholds are about four of them.
+#[test]
+fn noise_has_its_covariance() {
+    let bootstrap = white([0.6, 0.8, -0.3, 0.5]);
+    let winds = sample(&bootstrap, 5, 0..1, 40_001, None).unwrap().wind;
+    let mean = |f: &dyn Fn(usize) -> f64| (1..40_000).map(f).sum::<f64>() / 39_999.0;
+    assert!((mean(&|k| winds[k].x * winds[k].x) - 1.0).abs() < 0.03);
+    assert!((mean(&|k| winds[k].y * winds[k].y) - 0.34).abs() < 0.01);
+    assert!((mean(&|k| winds[k].x * winds[k].y) - 0.22).abs() < 0.015);
+    assert!(mean(&|k| winds[k].x).abs() < 0.02 && mean(&|k| winds[k].y).abs() < 0.012);
+    assert!(mean(&|k| winds[k].x * winds[k + 1].x).abs() < 0.02);
+}
+
+/// No member's numbers are another's: where the small scale starts and what fills its first step,
+/// and what the synoptic noise does, are uncorrelated between neighbouring members (one stream
+/// taken for another's would give correlations of order 1; 4 sd of 3,000 members is 0.073).
+#[test]
+fn members_draw_from_streams_of_their_own() {
+    let members = 3000;
+    let features = |synoptic: f64, sd: f64| -> Vec<[f64; 3]> {
+        let small_scale = SmallScale::new(sd, 1.0, 1.0, 2).unwrap();
+        let bootstrap = Arc::new(white([synoptic, 0.0, 0.0, synoptic]));
+        let generator = WindGenerator::new(bootstrap, small_scale, 1.0, 1.0, 0, None).unwrap();
+        let knots = |member| generator.path(1, member, 1.0, Sampling::Fine).unwrap();
+        (0..members + 4)
+            .map(|member| {
+                let path = knots(member);
+                let w = path.knots();
+                [w[0].x, w[1].x - (w[0].x + w[2].x) / 2.0, w[2].x]
+            })
+            .collect()
+    };
+    let (small, synoptic) = (features(0.0, 1.0), features(1.0, 0.0));
+    let correlation = |f: &dyn Fn(usize) -> (f64, f64)| {
+        let pairs: Vec<_> = (0..members as usize).map(f).collect();
+        let sum = |g: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(g).sum::<f64>();
+        sum(&|p| p.0 * p.1) / (sum(&|p| p.0 * p.0) * sum(&|p| p.1 * p.1)).sqrt()
+    };
+    for lag in 1..4 {
+        for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (2, 0)] {
+            let found = correlation(&|m| (small[m][i], small[m + lag][j]));
+            assert!(found.abs() < 0.073, "small scale {i}, {j}, lag {lag}: {found}");
+        }
+        for i in 0..3 {
+            let found = correlation(&|m| (small[m][i], synoptic[m + lag][2]));
+            assert!(found.abs() < 0.073, "synoptic, {i}, lag {lag}: {found}");
+        }
     }
 }
 
