@@ -163,6 +163,46 @@ fn slow_velocity_is_the_derivative_of_the_slow_position() {
     }
 }
 
+/// In a wind `W = ct` over a sea at rest the paper's system has a closed solution. The window's mean
+/// is the wind itself, `T·B_W = −c(t − nT)²/2` since the tide began, `T⟨B_W⟩ = −cT²/6` and
+/// `⟨∂ₜB_W⟩ = 0`, so that `y₁ = −(cT²/6)(1 − e^{−Λt})` and `u₁ = −Λy₁`.
+#[test]
+fn wind_terms_of_a_growing_wind() {
+    let (period, drag, c) = (0.3, 1.7, Vec2::new(2.0, -0.7));
+    let still = SeparableCurrent {
+        mean: 0.0,
+        modulation: 0.0,
+        cycles: 0.0,
+        phase: 0.0,
+        axis: 0,
+        sines: vec![Vec2::new(1.0, 1.0)],
+    };
+    let scenario = Scenario {
+        sea: Arc::new(AcademicSea::new(period, still.clone(), still, 1.0).unwrap()),
+        coast: None,
+        drag,
+        duration: 1.0,
+        position: Vec2::new(0.3, -0.2),
+        velocity: Vec2::new(-0.4, 0.9),
+    };
+    let wind = WindPath::new(vec![-3.0, 4.0], vec![c * -3.0, c * 4.0]).unwrap();
+    let times: Vec<f64> = (0..=50).map(|k| 0.02 * f64::from(k)).collect();
+    let model = Model::Paper { order: 1, window: 0.11, wind_terms: true };
+    let found = ensemble::trajectory(&scenario, &wind, &solver(model), &times).unwrap();
+    for (k, t) in times.iter().enumerate() {
+        let left = (-drag * t).exp();
+        let past = (scenario.velocity + c / drag) * left;
+        let y0 = scenario.position
+            + c * (t * t / 2.0 - t / drag)
+            + (scenario.velocity + c / drag) * ((1.0 - left) / drag);
+        let y1 = -c * (period * period / 6.0 * (1.0 - left));
+        assert!((found.position[k] - y0 - y1).norm() < 1e-9, "position at {t}");
+        let since = t - (t / period + 1e-9).floor() * period;
+        let velocity = c * (t - 1.0 / drag) + past - y1 * drag - c * (drag * since * since / 2.0);
+        assert!((found.velocity[k] - velocity).norm() < 1e-9, "velocity at {t}");
+    }
+}
+
 /// Only the paper's model looks beyond the run: half a window at both ends, and with the terms
 /// `B_W` the means of a tide, from the tide before the release to half a tide after the end.
 #[test]
@@ -273,6 +313,17 @@ fn steps_are_chosen_with_care() {
         assert!(first.is_some_and(|h| h > 1e-4 && h < 0.1), "{first:?}");
         assert!(work.rejected <= 3 && work.accepted < 200, "{work:?}");
     }
+    // A step that the end cuts short says little about the next one.
+    let long = Options { rtol: 1e-6, atol: 1e-6, max_step: 9.0, first_step: Some(0.3) };
+    let (_, next) = integrate(
+        |_, y: &Vector1<f64>| Ok(-y),
+        (0.0, 1e-3),
+        Vector1::new(1.0),
+        long,
+        |_| Ok(ControlFlow::Continue(())),
+    )
+    .unwrap();
+    assert_eq!(next, 0.3);
     // Without a slope nothing forbids to cross the span at once.
     let rest = Options { rtol: 1e-8, atol: 1e-8, max_step: 1e9, first_step: None };
     let run = integrate(
