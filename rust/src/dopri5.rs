@@ -212,10 +212,12 @@ pub fn integrate<const N: usize>(
         let y_end = y + weighted(&B, &k) * trial;
         k[6] = rhs(end, &y_end)?;
         work.evaluations += 6;
-        let error = scaled_norm(&(weighted(&E, &k) * trial), &y, &y_end, options);
-        if !error.is_finite() {
+        let estimate = weighted(&E, &k) * trial;
+        // Looked for here, because the norm's maximum passes over what is not a number.
+        if estimate.iter().chain(&y_end).any(|value| !value.is_finite()) {
             return Err(DriftError::Integration { t, reason: "the state is not finite" });
         }
+        let error = scaled_norm(&estimate, &y, &y_end, options);
         if error > 1.0 {
             work.rejected += 1;
             h = trial * (SAFETY * error.powf(-0.2)).max(MIN_FACTOR);
