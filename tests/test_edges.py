@@ -17,6 +17,7 @@ import xarray as xr
 from scipy.special import logsumexp
 
 import driftcore as dc
+from driftcore import files
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreWarning, OutputError, RecordError, ScenarioError
 from driftcore.scenario import EnsembleConfiguration, WindConfiguration
@@ -369,6 +370,17 @@ def test_a_member_followed_again(
         assert full.attrs[name] == averaged.attrs[name] == fc.dataset.attrs[name]
 
 
+def test_what_no_trajectory_is_made_of() -> None:
+    follow: dict[str, Any] = {"scenario": dc.paper.scenario(), "path": CALM, "times": [1.0]}
+    with pytest.raises(ScenarioError, match="path: list is not accepted; give a WindPath"):
+        dc.trajectory(**follow | {"path": [CALM], "model": "full"})
+    with pytest.raises(ScenarioError, match="times: must be one finite number or a list of them"):
+        dc.trajectory(**follow | {"times": "soon", "model": "full"})
+    with pytest.raises(dc.DriftCoreError) as failed:
+        dc.trajectory(**follow | {"scenario": dc.paper.scenario(v=(1e300, 0.0)), "model": "full"})
+    assert not isinstance(failed.value, ScenarioError)
+
+
 # Intervals
 
 
@@ -407,3 +419,19 @@ def test_a_file_needs_its_values_and_a_megabyte(
     else:
         fc.to_netcdf(tmp_path / "out.nc")
     assert (tmp_path / "out.nc").exists() == (not missing)
+
+
+def test_a_folder_where_a_file_is(tmp_path: Path) -> None:
+    target = tmp_path / "results"
+    target.mkdir()
+    (target / "sub").write_text("a file", encoding="utf-8")
+
+    def fill() -> None:
+        with files.filling(target, overwrite=True) as folder:
+            (folder / "sub").mkdir()
+            (folder / "sub" / "a.txt").touch()
+
+    with pytest.raises(OutputError, match="sub: cannot be made"):
+        fill()
+    assert [path.name for path in tmp_path.rglob("*")] == ["results", "sub"]
+    assert (target / "sub").read_text(encoding="utf-8") == "a file"
