@@ -40,73 +40,26 @@ def summers(years: range, rows: int, step: str) -> dc.WindRecord:
     return dc.read_record(pd.concat(parts), gaps="segment")
 
 
-# Defaults
+# Intervals
 
 
-def defaults(function: Callable[..., Any]) -> dict[str, Any]:
-    parameters = inspect.signature(function).parameters.values()
-    return {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
+@pytest.mark.parametrize("members", [1, 3, 49, 1000, 12_345])
+def test_none_and_all_have_exact_bounds(members: int) -> None:
+    low, high = wilson([0, members], members)
+    assert (low[0], high[1]) == (0.0, 1.0)
+    z2 = 1.959963984540054**2
+    assert (high[0], low[1]) == pytest.approx((z2 / (members + z2), members / (members + z2)))
 
 
-def test_the_fit_has_the_defaults_of_a_configuration() -> None:
-    configured = WindConfiguration().model_dump()
-    found = defaults(dc.LocalGridBootstrap.fit)
-    assert found == {name: configured[name] for name in found}
-    fit = dc.LocalGridBootstrap.fit(synthetic_record(3), h=0.3)
-    assert fit.record.months == (6, 7, 8)
-    assert (fit.mode, fit.order, fit.share, fit.memory_h) == ("residual", 2, 0.1, 3.0)
-
-
-def test_a_forecast_has_the_defaults_of_a_configuration(
-    embedded_wind: dc.LocalGridBootstrap,
-) -> None:
-    configured = EnsembleConfiguration().model_dump()
-    for name, value in defaults(dc.forecast).items():
-        if name in configured and value is not None:
-            assert value == configured[name], name
-    assert dc.paper.scenario() == dc.Scenario()
-    fc = dc.forecast(dc.paper.scenario(epsilon=1 / 10), embedded_wind, keep=0)
-    assert fc.dataset.sizes["member"] == configured["members"]
-    again = dc.RunConfiguration.from_toml(fc.configuration()).ensemble
-    assert again.outputs_per_tide == configured["outputs_per_tide"]
-    sectors = fc.stranding_by_sector()
-    assert sectors["direction"].values.tolist() == (22.5 * np.arange(16)).tolist()
-    assert fc.stranding_time_quantiles()["quantile"].values.tolist() == [0.05, 0.5, 0.95]
-
-
-def test_the_paper_model_averages_over_half_a_tide_unless_told(
-    embedded_wind: dc.LocalGridBootstrap,
-) -> None:
-    scenario = dc.paper.scenario(epsilon=1 / 20)
-    path = dc.member_path(scenario, embedded_wind, 0)
-
-    def followed(**how: Any) -> xr.Dataset:
-        return dc.trajectory(scenario, path, model="paper", times=[0.5, 1.0], **how)
-
-    half, quarter = followed(), followed(window=1 / 80)
-    assert half.position.equals(followed(window=1 / 40).position)
-    assert not half.position.equals(quarter.position)
-    assert (half.attrs["window"], quarter.attrs["window"]) == (1 / 40, 1 / 80)
-    assert half.attrs["wind_terms"] == 1
-    assert followed(wind_terms=False).attrs["wind_terms"] == 0
-    assert half.attrs["order"] == 1
-    assert half.position.equals(followed(order=1).position)
-    # Nothing averages the wind of the others.
-    for model in ("full", "mean-flow"):
-        attributes = dc.trajectory(scenario, path, model=model, times=[1.0]).attrs
-        assert not {"window", "wind_terms"} & set(attributes)
-    atol = dc.trajectory(scenario, path, model="full", times=[1.0], rtol=1e-5, atol=1e-5)
-    alone = dc.trajectory(scenario, path, model="full", times=[1.0], rtol=1e-5)
-    assert atol.position.equals(alone.position)
-
-
-def test_the_synthetic_climate_says_that_it_is_one() -> None:
-    frame = synthetic_record(years=1)
-    assert frame.attrs["wind_synthetic"] == 1
-    plain = pd.DataFrame(frame)
-    plain.attrs = {}
-    record = dc.read_record(plain)
-    assert (record.synthetic, record.label) == (False, "wind record in memory")
+def test_intervals_grow_with_the_level() -> None:
+    bounds = [probability(30, 100, level) for level in (0.5, 0.9, 0.95, 0.99)]
+    assert [p.level for p in bounds] == [0.5, 0.9, 0.95, 0.99]
+    for narrow, wide in pairwise(bounds):
+        assert wide.low < narrow.low < 0.3 < narrow.high < wide.high
+    assert probability(30, 100) == bounds[2]
+    for refused in (0, -1):
+        with pytest.raises(ScenarioError, match=f"members: {refused} is not accepted"):
+            probability(0, refused)
 
 
 # Records
@@ -381,26 +334,73 @@ def test_what_no_trajectory_is_made_of() -> None:
     assert not isinstance(failed.value, ScenarioError)
 
 
-# Intervals
+# Defaults
 
 
-@pytest.mark.parametrize("members", [1, 3, 49, 1000, 12_345])
-def test_none_and_all_have_exact_bounds(members: int) -> None:
-    low, high = wilson([0, members], members)
-    assert (low[0], high[1]) == (0.0, 1.0)
-    z2 = 1.959963984540054**2
-    assert (high[0], low[1]) == pytest.approx((z2 / (members + z2), members / (members + z2)))
+def defaults(function: Callable[..., Any]) -> dict[str, Any]:
+    parameters = inspect.signature(function).parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not inspect.Parameter.empty}
 
 
-def test_intervals_grow_with_the_level() -> None:
-    bounds = [probability(30, 100, level) for level in (0.5, 0.9, 0.95, 0.99)]
-    assert [p.level for p in bounds] == [0.5, 0.9, 0.95, 0.99]
-    for narrow, wide in pairwise(bounds):
-        assert wide.low < narrow.low < 0.3 < narrow.high < wide.high
-    assert probability(30, 100) == bounds[2]
-    for refused in (0, -1):
-        with pytest.raises(ScenarioError, match=f"members: {refused} is not accepted"):
-            probability(0, refused)
+def test_the_fit_has_the_defaults_of_a_configuration() -> None:
+    configured = WindConfiguration().model_dump()
+    found = defaults(dc.LocalGridBootstrap.fit)
+    assert found == {name: configured[name] for name in found}
+    fit = dc.LocalGridBootstrap.fit(synthetic_record(3), h=0.3)
+    assert fit.record.months == (6, 7, 8)
+    assert (fit.mode, fit.order, fit.share, fit.memory_h) == ("residual", 2, 0.1, 3.0)
+
+
+def test_a_forecast_has_the_defaults_of_a_configuration(
+    embedded_wind: dc.LocalGridBootstrap,
+) -> None:
+    configured = EnsembleConfiguration().model_dump()
+    for name, value in defaults(dc.forecast).items():
+        if name in configured and value is not None:
+            assert value == configured[name], name
+    assert dc.paper.scenario() == dc.Scenario()
+    fc = dc.forecast(dc.paper.scenario(epsilon=1 / 10), embedded_wind, keep=0)
+    assert fc.dataset.sizes["member"] == configured["members"]
+    again = dc.RunConfiguration.from_toml(fc.configuration()).ensemble
+    assert again.outputs_per_tide == configured["outputs_per_tide"]
+    sectors = fc.stranding_by_sector()
+    assert sectors["direction"].values.tolist() == (22.5 * np.arange(16)).tolist()
+    assert fc.stranding_time_quantiles()["quantile"].values.tolist() == [0.05, 0.5, 0.95]
+
+
+def test_the_paper_model_averages_over_half_a_tide_unless_told(
+    embedded_wind: dc.LocalGridBootstrap,
+) -> None:
+    scenario = dc.paper.scenario(epsilon=1 / 20)
+    path = dc.member_path(scenario, embedded_wind, 0)
+
+    def followed(**how: Any) -> xr.Dataset:
+        return dc.trajectory(scenario, path, model="paper", times=[0.5, 1.0], **how)
+
+    half, quarter = followed(), followed(window=1 / 80)
+    assert half.position.equals(followed(window=1 / 40).position)
+    assert not half.position.equals(quarter.position)
+    assert (half.attrs["window"], quarter.attrs["window"]) == (1 / 40, 1 / 80)
+    assert half.attrs["wind_terms"] == 1
+    assert followed(wind_terms=False).attrs["wind_terms"] == 0
+    assert half.attrs["order"] == 1
+    assert half.position.equals(followed(order=1).position)
+    # Nothing averages the wind of the others.
+    for model in ("full", "mean-flow"):
+        attributes = dc.trajectory(scenario, path, model=model, times=[1.0]).attrs
+        assert not {"window", "wind_terms"} & set(attributes)
+    atol = dc.trajectory(scenario, path, model="full", times=[1.0], rtol=1e-5, atol=1e-5)
+    alone = dc.trajectory(scenario, path, model="full", times=[1.0], rtol=1e-5)
+    assert atol.position.equals(alone.position)
+
+
+def test_the_synthetic_climate_says_that_it_is_one() -> None:
+    frame = synthetic_record(years=1)
+    assert frame.attrs["wind_synthetic"] == 1
+    plain = pd.DataFrame(frame)
+    plain.attrs = {}
+    record = dc.read_record(plain)
+    assert (record.synthetic, record.label) == (False, "wind record in memory")
 
 
 # Files
