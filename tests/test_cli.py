@@ -508,3 +508,11 @@ def test_a_full_disk_is_met_before_the_library_crashes(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10))
     with unchanged(tmp_path), pytest.raises(OutputError, match="0 MB are free"):
         forecast.to_netcdf(tmp_path / "out.nc")
+
+
+def test_the_demo_says_what_it_wrote(driftcore: Command) -> None:
+    result = driftcore("demo", "-o", "shown", "--members", "3")
+    assert result.code == 0
+    for path in Path("shown").iterdir():
+        assert str(path) in result.out.replace("\n", "")
+    assert {path.name for path in Path("shown").iterdir()} > FIGURES | {"demo.nc"}
