@@ -18,7 +18,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ import numpy as np
 
 EPSILON = 1 / 50
 KNOTS = 5000  # intervals between knots: a hundred in each tide
+TIMES = np.arange(KNOTS + 1) / KNOTS
 START = (1.0, 1.0, 0.0, 0.0)
 
 Job = Callable[[], tuple[list[list[float]], float | None]]
@@ -319,24 +320,52 @@ def diffrax_dopri5(folder: str) -> Peer:
     return peer
 
 
-@lru_cache(maxsize=1)
-def driftcore_winds(folder: str, members: int) -> Any:
-    """Give the winds as driftcore keeps them: in lanes, where this version of it has lanes."""
+def driftcore_full(option: str, folder: str) -> Peer:
+    """`driftcore.forecast`, full model, `setting` being its `rtol` or its `steps_per_tide`."""
     import driftcore as dc
 
-    times, velocity = np.arange(KNOTS + 1) / KNOTS, np.array(load_winds(folder, members))
-    if hasattr(dc, "WindPaths"):
-        return dc.WindPaths(times, velocity)
-    return [dc.WindPath(times, wind) for wind in velocity]
+    if option not in inspect.signature(dc.forecast).parameters:
+        raise NotImplementedError(f"this driftcore's forecast has no {option}")
+    lanes = getattr(dc, "WindPaths", None)
+    winds = lru_cache(maxsize=1)(
+        lambda members: (lanes or wind_paths)(TIMES, np.array(load_winds(folder, members)))
+    )
+
+    def evaluations(setting: Any) -> float | None:
+        """Give those of a member, which a forecast does not count."""
+        if option == "steps_per_tide":
+            return 6 * setting / EPSILON  # of Dormand-Prince
+        if lanes:
+            return None  # steps common to all members, and more for some
+        path, solver = next(iter(winds(1))), {"model": "full", option: setting}
+        one = dc.trajectory(driftcore_scenario(), path, times=[1.0], **solver)
+        return int(one.attrs["evaluations"])
+
+    def peer(members: int, setting: Any) -> Job:
+        count, wind = evaluations(setting), winds(members)
+
+        def job() -> Any:
+            return driftcore_positions(wind, members, {option: setting}).tolist(), count
+
+        return job
+
+    return peer
 
 
-def driftcore_solve(folder: str, members: int, **options: Any) -> Any:
+def driftcore_scenario() -> Any:
+    """Give the paper's case without its coast."""
+    import driftcore as dc
+
+    return dc.paper.scenario(EPSILON, coast=None)
+
+
+def driftcore_positions(winds: Any, members: int, options: dict[str, Any]) -> Any:
     """Give the positions (members, 2) at t = 1 by driftcore's full model."""
     import driftcore as dc
 
     forecast = dc.forecast(
-        dc.paper.scenario(EPSILON, coast=None),
-        driftcore_winds(folder, members),
+        driftcore_scenario(),
+        winds,
         model="full",
         times=[1.0],
         keep=members,
@@ -346,49 +375,16 @@ def driftcore_solve(folder: str, members: int, **options: Any) -> Any:
     return forecast.dataset["position"].values.reshape(members, 2)
 
 
-def driftcore_adaptive(folder: str) -> Peer:
-    """`driftcore.forecast`, full model, tolerance `setting`."""
+def wind_paths(times: Any, velocity: Any) -> Any:
+    """Give winds (members, knots, 2) as a list of driftcore's paths."""
     import driftcore as dc
 
-    scenario = dc.paper.scenario(EPSILON, coast=None)
-
-    def peer(members: int, setting: Any) -> Job:
-        driftcore_winds(folder, members)
-        # A forecast does not count evaluations; a trajectory of the same wind does.
-        path = dc.WindPath(np.arange(KNOTS + 1) / KNOTS, np.array(load_winds(folder, 1)[0]))
-        one = dc.trajectory(scenario, path, model="full", times=[1.0], rtol=setting)
-
-        def job() -> Any:
-            positions = driftcore_solve(folder, members, rtol=setting)
-            return positions.tolist(), int(one.attrs["evaluations"])
-
-        return job
-
-    return peer
-
-
-def driftcore_fixed(folder: str) -> Peer:
-    """`driftcore.forecast`, full model, `setting` steps a tide."""
-    import driftcore as dc
-
-    if "steps_per_tide" not in inspect.signature(dc.forecast).parameters:
-        raise NotImplementedError("this driftcore's forecast has no steps_per_tide")
-
-    def peer(members: int, setting: Any) -> Job:
-        driftcore_winds(folder, members)
-
-        def job() -> Any:
-            positions = driftcore_solve(folder, members, steps_per_tide=setting)
-            return positions.tolist(), None
-
-        return job
-
-    return peer
+    return [dc.WindPath(times, wind) for wind in velocity]
 
 
 PEERS: dict[str, Callable[[str], Peer]] = {
-    "driftcore-fixed": driftcore_fixed,
-    "driftcore": driftcore_adaptive,
+    "driftcore-fixed": partial(driftcore_full, "steps_per_tide"),
+    "driftcore": partial(driftcore_full, "rtol"),
     "rust-lanes": rust_lanes,
     "jax": jax_rk4,
     "odeint": odeint,
@@ -407,19 +403,21 @@ def prepare(folder: str, members: int) -> dict[str, Any]:
     """
     import driftcore as dc
 
-    scenario, climate = dc.paper.scenario(EPSILON, coast=None), dc.paper.default_wind()
+    scenario, climate = driftcore_scenario(), dc.paper.default_wind()
     winds = np.empty((members, KNOTS + 1, 2))
     for member in range(members):
         path = dc.member_path(scenario, climate, member)
         release = int(np.argmin(np.abs(path.times)))
         times = path.times[release : release + KNOTS + 1]
-        if not np.allclose(times, np.arange(KNOTS + 1) / KNOTS, rtol=0, atol=1e-9):
+        if not np.allclose(times, TIMES, rtol=0, atol=1e-9):
             raise ValueError("the wind's knots are not ε/100 apart from the release on")
         winds[member] = path.velocity[release : release + KNOTS + 1]
     np.save(Path(folder) / "winds.npy", winds)
-    reference = driftcore_solve(folder, members, rtol=1e-12)
-    check = float(np.abs(reference[0] - rewritten(winds[0])).max())
-    return {"reference": reference.tolist(), "check": check}
+    solver: Any = {"model": "full", "times": [1.0], "rtol": 1e-12}
+    paths = (dc.WindPath(TIMES, wind) for wind in winds)
+    found = [dc.trajectory(scenario, path, **solver).position.values[0] for path in paths]
+    check = float(np.abs(found[0] - rewritten(winds[0])).max())
+    return {"reference": np.array(found).tolist(), "check": check}
 
 
 def rewritten(wind: Any) -> Any:

@@ -22,9 +22,9 @@ if hasattr(os, "sched_setaffinity"):
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-def answer(peer: Any, request: dict[str, Any]) -> dict[str, Any]:
+def answer(peer: Any, members: int, setting: Any) -> dict[str, Any]:
     """Run the job asked for and time it, its preparation left out."""
-    job = peer(request["members"], request["setting"])
+    job = peer(members, setting)
     wall, cpu = time.perf_counter(), time.process_time()
     positions, evaluations = job()
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
@@ -45,9 +45,13 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     peer = importlib.import_module(module).PEERS[name](folder)
-    print(json.dumps({"ready": name}), file=answers, flush=True)
+    start = time.process_time()  # what importing and setting up cost
     for line in sys.stdin:
-        print(json.dumps(answer(peer, json.loads(line))), file=answers, flush=True)
+        print(
+            json.dumps(answer(peer, **json.loads(line)) | {"start": start}),
+            file=answers,
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
