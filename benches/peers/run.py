@@ -58,7 +58,7 @@ class Effort:
     particles: tuple[int, ...]
 
 
-FULL = Effort(2048, 8, 7, 1.0, 100, (1000, 10_000))
+FULL = Effort(4096, 8, 7, 1.0, 100, (1000, 10_000))
 QUICK = Effort(256, 2, 3, 0.2, 20, (1000,))
 BATCH = 64  # least number of members of a call: what vectors, lanes and lockstep need
 BATCHED = ("jax", "diffrax")  # their cost depends on it
@@ -78,6 +78,7 @@ class Entry:
     setting: Any
     note: str
     answer: dict[str, Any]
+    repeats: int = 1
     rounds: list[dict[str, float]] = field(default_factory=list)
 
     def micros(self, clock: str = "cpu") -> list[float]:
@@ -100,12 +101,11 @@ class Worker:
                 cwd=folder,
             )
 
-    def ask(self, members: int, setting: Any) -> dict[str, Any]:
+    def ask(self, **request: Any) -> dict[str, Any]:
         """Have a job done."""
         assert self.process.stdin is not None
-        request = json.dumps({"members": members, "setting": setting})
         with contextlib.suppress(BrokenPipeError):  # if it has ended, its log says why
-            print(request, file=self.process.stdin, flush=True)
+            print(json.dumps(request), file=self.process.stdin, flush=True)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
@@ -115,7 +115,8 @@ class Worker:
     def stop(self) -> None:
         """End the process."""
         assert self.process.stdin is not None
-        self.process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
         self.process.wait()
 
 
@@ -132,13 +133,15 @@ class Contest:
         asked = self.only is None or peer in self.only or peer.startswith("driftcore")
         return asked and peer not in self.absent
 
-    def ask(self, module: str, peer: str, members: int, setting: Any) -> dict[str, Any]:
+    def ask(
+        self, module: str, peer: str, members: int, setting: Any, repeats: int = 1
+    ) -> dict[str, Any]:
         """Have a job done, by a new worker if there is none."""
         key = module, peer
         if key not in self.workers:
             environment = peer if peer in self.pythons else "solvers"
             self.workers[key] = Worker(self.pythons[environment], module, peer, self.folder)
-        return self.workers[key].ask(members, setting)
+        return self.workers[key].ask(members=members, setting=setting, repeats=repeats)
 
     def stop(self) -> None:
         """End all processes."""
@@ -171,7 +174,8 @@ def install(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
             command = [pythons[name], "-m", "pip", "install", "-q", requirement]
             done = subprocess.run(command, env=cargo, capture_output=True, text=True)
             if done.returncode:
-                failed[Path(requirement).name.split(">")[0]] = last_line(done.stderr)
+                package = "driftcore" if requirement == str(CHECKOUT) else requirement
+                failed[package.split(">")[0]] = last_line(done.stderr)
     return pythons, failed
 
 
@@ -254,7 +258,8 @@ def tuned(
         members, answer = sized(setting, answer["each"])
         reached = answer["error"] <= TARGET
         if customary or reached:
-            yield Entry(peer, label, members, setting, note, answer)
+            repeats = max(1, round(effort.seconds / answer["cpu"]))
+            yield Entry(peer, label, members, setting, note, answer, repeats)
         if reached:
             return
 
@@ -311,7 +316,9 @@ def race(contest: Contest, module: str, entries: list[Entry], rounds: int) -> li
             if entry.peer in contest.absent:
                 continue
             try:
-                answer = contest.ask(module, entry.peer, entry.members, entry.setting)
+                answer = contest.ask(
+                    module, entry.peer, entry.members, entry.setting, entry.repeats
+                )
             except UnavailableError as reason:
                 contest.absent[entry.peer] = str(reason)
                 continue
@@ -503,8 +510,8 @@ def main() -> None:
     else:
         pythons, absent = install(folder)
     absent |= build(folder)
-    if CHECKOUT.name in absent:
-        sys.exit(f"driftcore cannot be installed: {absent[CHECKOUT.name]}")
+    if "driftcore" in absent:
+        sys.exit(f"driftcore cannot be installed: {absent['driftcore']}")
 
     say(f"drawing {effort.members} winds, solving for the reference")
     command = [pythons["solvers"], HERE / "solvers.py", folder, str(effort.members)]

@@ -327,7 +327,7 @@ def driftcore_full(option: str, folder: str) -> Peer:
     if option not in inspect.signature(dc.forecast).parameters:
         raise NotImplementedError(f"this driftcore's forecast has no {option}")
     lanes = getattr(dc, "WindPaths", None)
-    winds = lru_cache(maxsize=1)(
+    winds = lru_cache(maxsize=2)(
         lambda members: (lanes or wind_paths)(TIMES, np.array(load_winds(folder, members)))
     )
 

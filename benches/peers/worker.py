@@ -1,7 +1,7 @@
 """One peer in a process of its own: builds a job, runs it, and says what the run alone cost.
 
-Started by `run.py` in the peer's environment as `worker.py MODULE PEER FOLDER`; it reads one
-request a line, `{"members": 100, "setting": 1e-6}`, and answers each with one line of JSON.
+Started by `run.py` in the peer's environment as `worker.py MODULE PEER FOLDER`; it reads requests,
+`{"members": 64, "setting": 1e-6, "repeats": 2}`, and answers each with one line of JSON.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ if hasattr(os, "sched_setaffinity"):
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-def answer(peer: Any, members: int, setting: Any) -> dict[str, Any]:
-    """Run the job asked for and time it, its preparation left out."""
+def answer(peer: Any, members: int, setting: Any, repeats: int) -> dict[str, Any]:
+    """Run the job asked for and give its mean time, its preparation left out."""
     job = peer(members, setting)
     wall, cpu = time.perf_counter(), time.process_time()
-    positions, evaluations = job()
+    for _ in range(repeats):
+        positions, evaluations = job()
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # of kilobytes, on Linux
     return {
-        "cpu": cpu,
-        "wall": wall,
+        "cpu": cpu / repeats,
+        "wall": wall / repeats,
         "positions": positions,
         "evaluations": evaluations,
         "peak_megabytes": peak,
