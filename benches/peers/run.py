@@ -34,8 +34,8 @@ ENVIRONMENTS = {
     "opendrift": ("opendrift",),
 }
 LIBRARIES = {
-    "odeint.so": ("g++", "-O3", "-march=native", "-shared", "-fPIC", "odeint.cpp"),
-    "rk4_lanes.so": (
+    "odeint": ("g++", "-O3", "-march=native", "-shared", "-fPIC", "odeint.cpp"),
+    "rust-lanes": (
         *("rustc", "--edition=2024", "-O", "-Ctarget-cpu=native", "--crate-type=cdylib"),
         "rk4_lanes.rs",
     ),
@@ -109,7 +109,7 @@ class Worker:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
-            raise UnavailableError(last_line(self.log.read_text()))
+            raise UnavailableError(reason(self.log.read_text()))
         return dict(json.loads(line))
 
     def stop(self) -> None:
@@ -155,43 +155,41 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def last_line(text: str) -> str:
-    """Give the last line that says something."""
-    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "no reason")
+def reason(text: str) -> str:
+    """Give the last line that tells of an error, or that says anything."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()] or ["no reason given"]
+    return next((line for line in reversed(lines) if "error:" in line.lower()), lines[-1])
 
 
-def install(folder: Path) -> tuple[dict[str, Path], dict[str, str]]:
-    """Make the environments; give their interpreters, and what could not be installed."""
-    pythons, failed = {}, {}
+def install(folder: Path, pythons: dict[str, Path]) -> dict[str, str]:
+    """Make the environments; give what could not be installed."""
+    failed = {}
     cargo = os.environ | {"CARGO_TARGET_DIR": str(folder / "target")}
     for name, requirements in ENVIRONMENTS.items():
-        home = folder / name
-        pythons[name] = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
         if not pythons[name].exists():
-            venv.create(home, with_pip=True)
+            venv.create(folder / name, with_pip=True)
         for requirement in requirements:
             say(f"installing {requirement}")
             command = [pythons[name], "-m", "pip", "install", "-q", requirement]
             done = subprocess.run(command, env=cargo, capture_output=True, text=True)
             if done.returncode:
                 package = "driftcore" if requirement == str(CHECKOUT) else requirement
-                failed[package.split(">")[0]] = last_line(done.stderr)
-    return pythons, failed
+                failed[package.split(">")[0]] = reason(done.stderr)
+    return failed
 
 
 def build(folder: Path) -> dict[str, str]:
     """Compile the two libraries; give what could not be."""
     failed = {}
-    for library, (compiler, *options) in LIBRARIES.items():
-        peer = {"odeint.so": "odeint", "rk4_lanes.so": "rust-lanes"}[library]
+    for peer, (compiler, *options) in LIBRARIES.items():
         if shutil.which(compiler) is None:
             failed[peer] = f"{compiler} is not installed"
             continue
-        command = [compiler, *options, "-o", folder / library]
+        command = [compiler, *options, "-o", folder / f"{peer}.so"]
         done = subprocess.run(command, cwd=HERE, capture_output=True, text=True)
         if done.returncode:
             errors = [line for line in done.stderr.splitlines() if "error" in line]
-            failed[peer] = errors[0] if errors else last_line(done.stderr)
+            failed[peer] = errors[0] if errors else reason(done.stderr)
     return failed
 
 
@@ -219,8 +217,8 @@ def full_system(contest: Contest, effort: Effort, reference: list[list[float]]) 
         say(f"tuning {label}")
         try:
             entries += tuned(contest, effort, reference, peer, label, settings)
-        except UnavailableError as reason:
-            contest.absent[peer] = str(reason)
+        except UnavailableError as error:
+            contest.absent[peer] = str(error)
     return entries
 
 
@@ -292,8 +290,8 @@ def drift_models(contest: Contest, effort: Effort) -> list[Entry]:
             say(f"trying {label} with {particles} particles")
             try:
                 answer = contest.ask("domain", peer, particles, effort.steps)
-            except UnavailableError as reason:
-                contest.absent[peer] = str(reason)
+            except UnavailableError as error:
+                contest.absent[peer] = str(error)
                 continue
             found = answer.pop("positions")
             if peer == "numpy":
@@ -319,8 +317,8 @@ def race(contest: Contest, module: str, entries: list[Entry], rounds: int) -> li
                 answer = contest.ask(
                     module, entry.peer, entry.members, entry.setting, entry.repeats
                 )
-            except UnavailableError as reason:
-                contest.absent[entry.peer] = str(reason)
+            except UnavailableError as error:
+                contest.absent[entry.peer] = str(error)
                 continue
             entry.rounds.append({clock: answer[clock] for clock in ("cpu", "wall")})
     contest.stop()
@@ -504,11 +502,8 @@ def main() -> None:
 
     folder = arguments.envs.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    absent: dict[str, str] = {}
-    if arguments.no_install:
-        pythons = {name: folder / name / "bin" / "python" for name in ENVIRONMENTS}
-    else:
-        pythons, absent = install(folder)
+    pythons = {name: folder / name / "bin" / "python" for name in ENVIRONMENTS}
+    absent = {} if arguments.no_install else install(folder, pythons)
     absent |= build(folder)
     if "driftcore" in absent:
         sys.exit(f"driftcore cannot be installed: {absent['driftcore']}")

@@ -200,7 +200,7 @@ def odeint(folder: str) -> Peer:
 
 def rust_lanes(folder: str) -> Peer:
     """RK4 on the knots in Rust, eight members at a time: `rk4_lanes.rs`."""
-    library = ctypes.CDLL(str(Path(folder) / "rk4_lanes.so"))
+    library = ctypes.CDLL(str(Path(folder) / "rust-lanes.so"))
     library.solve.argtypes = [ctypes.c_double, ctypes.c_void_p, *[ctypes.c_size_t] * 2]
     library.solve.argtypes = [*library.solve.argtypes, ctypes.c_void_p]
     library.solve.restype = None
