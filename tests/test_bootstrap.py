@@ -109,33 +109,29 @@ def p_values(counts: Integer, weights: Floats) -> tuple[float, float]:
 
 
 def counts_at(
-    wind: dc.LocalGridBootstrap, state: Floats, near: int | None, draws: int, seed: int
+    wind: dc.LocalGridBootstrap, state: Floats, weigh_all: bool, draws: int, seed: int
 ) -> Integer:
-    drawn = wind.core.draws_at(state, draws, seed, near)
+    drawn = wind.core.draws_at(state, draws, seed, weigh_all)
     assert np.isin(drawn, wind.row).all()
     return np.bincount(np.searchsorted(wind.row, drawn), minlength=len(wind.row))
 
 
 @lru_cache
 def p_values_of(case: Case) -> Floats:
-    """Draws at states as a chain meets them, in the record and far from it.
-
-    Each with the proposal made for a row (the one drawn before, or one elsewhere), and without.
-    """
+    """Draws at states as a chain meets them and in the record: by the leaves, by weighing all."""
     wind = fitted(case)
     chain = chains(wind, 1, 40, seed=11)
-    last = len(wind.row) - 1
-    probes: list[tuple[Floats, int]] = [
-        *((chain.state[0, step], int(chain.row[0, step])) for step in (3, 5, 17, 28, 39)),
-        (wind.states[700], 699),
-        (wind.states[0], last),
-        (0 * wind.states[0], 0),
+    probes = [
+        *(chain.state[0, step] for step in (3, 5, 17, 28, 39)),
+        wind.states[700],
+        wind.states[0],
+        0 * wind.states[0],
     ]
     found = []
-    for seed, (state, near) in enumerate(probes):
+    for seed, state in enumerate(probes):
         weights = lgb_weights(wind.states, wind.whitening, case.h, state)
-        found.append(p_values(counts_at(wind, state, near, 20_000, 2 * seed), weights))
-        found.append(p_values(counts_at(wind, state, None, 5_000, 2 * seed + 1), weights))
+        found.append(p_values(counts_at(wind, state, False, 20_000, 2 * seed), weights))
+        found.append(p_values(counts_at(wind, state, True, 5_000, 2 * seed + 1), weights))
     return np.array(found)
 
 

@@ -459,7 +459,7 @@ def _weights(wind: LocalGridBootstrap, seed: int) -> Check:
     statistic, freedom = 0.0, 0
     for row in np.linspace(1, len(wind.states) - 1, _FIXED_STATES).astype(int):
         state = wind.states[row - 1 : row + 1].mean(axis=0)
-        drawn = wind.core.draws_at(state, _DRAWS, seed + int(row), int(row) - 1)
+        drawn = wind.core.draws_at(state, _DRAWS, seed + int(row))
         counts = np.bincount(np.searchsorted(wind.row, drawn), minlength=len(wind.row))
         found = chi_square(counts, _DRAWS * wind.weights(state))
         statistic, freedom = statistic + found[0], freedom + found[1]

@@ -596,7 +596,6 @@ mod tests {
             let mut scratch = Scratch::default();
             let (nearest, totals) = leaves.bounds(&z, bandwidth, &mut scratch);
             assert_eq!(scratch.sum.last(), Some(&totals));
-            let mut reached = 0;
             for leaf in 0..64 {
                 let bound = f64::from(scratch.bound[leaf / ABREAST][leaf % ABREAST]);
                 let size = leaves.sizes[leaf / ABREAST][leaf % ABREAST] as usize;
@@ -604,10 +603,8 @@ mod tests {
                 for state in leaves.states[4 * first..4 * (first + size)].chunks_exact(4) {
                     let weight = log_weight(state, &z, nearest, bandwidth).exp();
                     assert!(weight <= bound);
-                    reached += usize::from(weight > bound / 2.0);
                 }
             }
-            assert!(reached > 0 || z[0] > 1.0);
         }
     }
 }
