@@ -335,9 +335,13 @@ fn broken_catalogues_are_refused() {
 }
 
 fn generator() -> WindGenerator {
+    generator_of(2.0)
+}
+
+fn generator_of(unit: f64) -> WindGenerator {
     let small_scale = SmallScale::new(0.2, 0.005, 0.0096, 48).unwrap();
     let bootstrap = Bootstrap::new(catalogue(0.3)).unwrap();
-    WindGenerator::new(Arc::new(bootstrap), small_scale, 0.0096, 2.0, 7, None).unwrap()
+    WindGenerator::new(Arc::new(bootstrap), small_scale, 0.0096, unit, 7, None).unwrap()
 }
 
 /// The coarse and the fine path of a member are one wind: same values at the synoptic steps, same
@@ -455,20 +459,33 @@ fn grazing_oscillations_are_found() {
 /// alone and ends the same way to the last bit.
 #[test]
 fn side_by_side_as_alone() {
-    let generator = generator();
+    let generator = generator_of(0.3);
     let times: Vec<f64> = (0..=20).map(|k| f64::from(k) / 20.0).collect();
     let drawn = Winds::Drawn { generator: &generator, seed: 3 };
     let academic: Arc<dyn SeaField> = Arc::new(AcademicSea::paper(0.02).unwrap());
     let gridded: Arc<dyn SeaField> = Arc::new(nonlinear_sea(0.02));
-    let circle = |radius| Coast::circle(Vec2::new(1.0, 1.0), radius, Side::Inside).ok();
-    for (sea, coast) in [(academic, circle(0.3)), (gridded.clone(), circle(0.3)), (gridded, None)] {
-        let scenario = scenario(sea, coast, Vec2::new(1.0, 1.0));
+    for (sea, with_coast) in [(academic, true), (gridded.clone(), true), (gridded, false)] {
+        let mut scenario = scenario(sea, None, Vec2::new(1.0, 1.0));
         for model in [FULL, Model::MeanFlow { order: 1 }] {
             let sampling = if model == FULL { Sampling::Fine } else { Sampling::Coarse };
             let paths: Vec<WindPath> =
                 (0..40).map(|k| generator.path(3, k, 1.0, sampling).unwrap()).collect();
             let given: Vec<&WindPath> = paths.iter().collect();
             let outputs = (times.as_slice(), 40);
+            scenario.coast = None;
+            if with_coast {
+                // About half of the members go this far.
+                let open = follow(&scenario, &drawn, &solver(model, 1e-5), None, outputs, 0..40);
+                let mut farthest: Vec<f64> = (open.iter())
+                    .map(|member| {
+                        let distance = |x: &Vec2| (x - scenario.position).norm();
+                        member.positions.iter().map(distance).fold(0.0, f64::max)
+                    })
+                    .collect();
+                farthest.sort_by(f64::total_cmp);
+                let radius = (farthest[19] + farthest[20]) / 2.0;
+                scenario.coast = Coast::circle(scenario.position, radius, Side::Inside).ok();
+            }
             let alone = follow(
                 &scenario,
                 &Winds::Given(&given),
@@ -489,7 +506,10 @@ fn side_by_side_as_alone() {
                     stranded += 1;
                 }
             }
-            assert!(scenario.coast.is_none() || (1..40).contains(&stranded), "{stranded}");
+            assert!(
+                scenario.coast.is_none() || (1..40).contains(&stranded),
+                "{model:?}: {stranded}"
+            );
             // No common step meets this tolerance: every member goes alone.
             let strict = solver(model, 1e-13);
             let exact = follow(&scenario, &drawn, &strict, None, outputs, 0..20);
@@ -542,24 +562,27 @@ fn lanes_do_not_influence_each_other() {
     }
 }
 
-/// The fixed steps of the full model are of fifth order: the error falls 32-fold by halving.
+/// The fixed steps of the full model are of fifth order at least: where the sea changes little with
+/// the position they are nearly a quadrature, which has one more.
 #[test]
 fn common_steps_have_order_five() {
     let generator = generator();
     let sea = Arc::new(AcademicSea::paper(0.02).unwrap());
-    let scenario = scenario(sea, None, Vec2::new(1.0, 1.0));
+    // Less than a tide, over which errors of one phase would cancel.
+    let duration = 0.015;
+    let scenario = Scenario { duration, ..scenario(sea, None, Vec2::new(1.0, 1.0)) };
     let calm = WindPaths::new(0.0, 1.0, [1, 2], |_, _| Vec2::zeros()).unwrap();
     let winds = Winds::InMemory(&calm);
     let end = |steps| {
         let members =
-            follow(&scenario, &winds, &solver(FULL, 1e-6), Some(steps), (&[1.0], 1), 0..1);
+            follow(&scenario, &winds, &solver(FULL, 1e-6), Some(steps), (&[duration], 1), 0..1);
         members[0].positions[0]
     };
-    let exact = end(96.0);
+    let exact = end(128.0);
     let error = |steps| (end(steps) - exact).norm();
     let orders =
-        [(6.0, 12.0), (8.0, 16.0), (12.0, 24.0)].map(|(a, b)| (error(a) / error(b)).log2());
-    assert!(orders.iter().all(|order| (order - 5.0).abs() < 0.4), "{orders:?}");
+        [(8.0, 16.0), (12.0, 24.0), (16.0, 32.0)].map(|(a, b)| (error(a) / error(b)).log2());
+    assert!(orders.iter().all(|order| (4.8..6.6).contains(order)), "{orders:?}");
     let drawn = Winds::Drawn { generator: &generator, seed: 3 };
     let second = Model::MeanFlow { order: 2 };
     let refused = Ensemble::new(&scenario, &drawn, solver(second, 1e-6), Some(8.0), (&[], 0));

@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -247,3 +248,67 @@ def test_coarse_sampling_loses_little(embedded_wind: dc.LocalGridBootstrap) -> N
     ]  # fmt: skip
     difference = abs(forecast.dataset["position"].to_numpy() - fine).max()
     assert 0 < difference < 0.06 * scenario.epsilon**2  # 2.4e-5
+
+
+# Many winds on common knots
+
+
+def test_paths_together_are_the_paths_alone() -> None:
+    """21 members: more than one group of lanes. Positions, strandings and winds kept agree."""
+    rng = np.random.default_rng(7)
+    times = np.linspace(-0.1, 1.1, 121)
+    velocity = rng.normal(0.5, 2.0, (21, len(times), 2))
+    together = dc.WindPaths(times, velocity)
+    assert len(together) == 21
+    assert "21 members, 121 knots" in repr(together)
+    scenario = dc.paper.scenario()
+    alone = [dc.WindPath(times, wind) for wind in velocity]
+    for model in ("full", "mean-flow"):
+        one, other = (
+            dc.forecast(scenario, wind, model=model, rtol=1e-9).dataset
+            for wind in (together, alone)
+        )
+        assert 0 < (one["status"] == 1).sum() < 21
+        for name in ("stranding_time", "stranding_position", "position", "wind_velocity"):
+            np.testing.assert_allclose(one[name], other[name], atol=2e-6, err_msg=name)
+
+
+def test_steps_of_one_length() -> None:
+    """Ten steps a tide are what the full model takes by itself; two are far off."""
+    times = np.linspace(0.0, 1.0, 5001)
+    wind = dc.WindPaths(times, np.random.default_rng(8).normal(size=(3, len(times), 2)))
+    scenario = dc.paper.scenario(coast=None)
+
+    def end(**settings: float) -> Any:
+        run = dc.forecast(scenario, wind, model="full", times=[1.0], **settings)
+        return run.dataset["position"].values
+
+    np.testing.assert_array_equal(end(), end(steps_per_tide=10))
+    assert 1e-4 < np.abs(end(steps_per_tide=2) - end()).max() < 1e-1
+    for refused in (0, -1.0, np.nan, "many"):
+        with pytest.raises(dc.ScenarioError, match="steps_per_tide: .* is not accepted"):
+            end(steps_per_tide=refused)
+    with pytest.raises(dc.ScenarioError, match="steps_per_tide"):
+        dc.forecast(scenario, members=2, model="mean-flow", order=2, steps_per_tide=4)
+
+
+@pytest.mark.parametrize(
+    ("times", "shape", "message"),
+    [
+        ([0.0], (2, 1, 2), r"times: shape \(1,\)"),
+        ([0.0, 1.0], (2, 2), r"velocity: shape \(2, 2\)"),
+        ([0.0, 1.0], (0, 2, 2), r"velocity: shape \(0, 2, 2\)"),
+        ([0.0, 1.0], (3, 3, 2), "2 times need"),
+        ([0.0, 1.0, 3.0], (1, 3, 2), "equally spaced"),
+        ([1.0, 0.0], (1, 2, 2), "equally spaced"),
+    ],
+)
+def test_paths_that_do_not_fit(times: list[float], shape: tuple[int, ...], message: str) -> None:
+    with pytest.raises(dc.ScenarioError, match=message):
+        dc.WindPaths(times, np.zeros(shape))
+
+
+def test_paths_must_cover_the_run() -> None:
+    short = dc.WindPaths([0.0, 0.9], np.zeros((2, 2, 2)))
+    with pytest.raises(dc.ScenarioError, match=r"wind: they cover \[0, 0.9\]"):
+        dc.forecast(dc.paper.scenario(), short)

@@ -740,7 +740,10 @@ class _Given:
 
     def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
         """Give the wind [m/s] of the first `keep` members at the output times."""
-        wind = np.array([self.paths[k].core.velocity(instants) for k in range(keep)])
+        if isinstance(self.paths, WindPaths):
+            wind = self.paths.core.velocity(keep, instants)
+        else:
+            wind = np.array([path.core.velocity(instants) for path in self.paths[:keep]])
         return instants, wind.reshape(keep, len(instants), 2) * self.scenario.wind_unit
 
     def configuration(self) -> WindConfiguration:

@@ -501,11 +501,6 @@ class WindPaths:
     def __len__(self) -> int:
         return self._members
 
-    def __getitem__(self, member: int) -> WindPath:
-        if not 0 <= member < len(self):
-            raise IndexError(member)
-        return WindPath(self.times, self.core.velocity(member))
-
     def __repr__(self) -> str:
         first, last = self.times[0], self.times[-1]
         return f"WindPaths({len(self)} members, {len(self.times)} knots on [{first:g}, {last:g}])"

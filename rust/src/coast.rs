@@ -115,6 +115,9 @@ impl Coast {
             let ahead = self.clearance(piece.position(next)?);
             if ahead <= 0.0 {
                 let crossing = self.root(piece, (t, clearance), (next, ahead))?;
+                if !crossing.is_finite() {
+                    return Err(DriftError::Integration { t, reason: "the state is not finite" });
+                }
                 return Ok(Some((crossing, piece.position(crossing)?)));
             }
             (t, clearance) = (next, ahead);

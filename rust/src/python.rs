@@ -160,9 +160,21 @@ impl WindPaths {
         Ok(Self(paths))
     }
 
-    /// Wind of one member at the knots.
-    fn velocity<'py>(&self, py: Python<'py>, member: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        columns(py, self.0.path(member)?.knots())
+    /// Wind of the first `members` members at some times.
+    fn velocity<'py>(
+        &self,
+        py: Python<'py>,
+        members: usize,
+        times: PyReadonlyArray1<f64>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        if members > self.0.members() {
+            return Err(DriftError::invalid("members", members, "there are fewer").into());
+        }
+        let times = times.as_array();
+        let values: Vec<Vec2> = (0..members)
+            .flat_map(|member| times.iter().map(move |t| self.0.velocity(member, *t)))
+            .collect();
+        layers(py, [members, times.len()], &values)
     }
 }
 

@@ -78,6 +78,15 @@ impl WindPaths {
         &self.blocks[group * self.knots..(group + 1) * self.knots]
     }
 
+    /// Wind of one member at time `t`; the end intervals are continued.
+    pub fn velocity(&self, member: usize, t: f64) -> Vec2 {
+        let place = (t - self.start) / self.spacing;
+        let knot = (place.max(0.0) as usize).min(self.knots - 2);
+        let block = self.block(member / WIDTH);
+        let [here, next] = [knot, knot + 1].map(|k| lane(&block[k], member % WIDTH));
+        here.lerp(&next, place - knot as f64)
+    }
+
     /// The path of one member.
     pub fn path(&self, member: usize) -> Result<WindPath, DriftError> {
         if member >= self.members {
