@@ -313,24 +313,23 @@ fn rows_are_drawn_by_their_weights() {
     }
 }
 
-/// What the proposal is for: seen from its own centre a row is accepted after `κ^{d/2} = 2` trials
-/// where the rows are dense, of two random numbers (four words) each and of four where the tail
-/// proposes; all rows need not be weighed, which would take one number.
+/// What the leaves are for: at states of the catalogue a row is accepted after a few trials of two
+/// random numbers (four words) each; all rows need not be weighed, which would take one number.
 #[test]
-fn proposals_are_accepted_soon() {
+fn rows_are_accepted_soon() {
     let catalogue = catalogue(0.3);
     let bootstrap = Bootstrap::new(catalogue.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let draws = 200;
     let mut words = 0;
-    for near in (0..600).step_by(20) {
-        let center = &catalogue.target[2 * near..2 * near + 2];
+    for row in (0..600).step_by(20) {
+        let state = &catalogue.states[2 * row..2 * row + 2];
         let before = rng.get_word_pos();
-        bootstrap.draws_at(center, Some(near), draws, &mut rng).unwrap();
+        bootstrap.draws_at(state, false, draws, &mut rng).unwrap();
         words += rng.get_word_pos() - before;
     }
     let each = words as f64 / (30.0 * draws as f64);
-    assert!((6.0..16.0).contains(&each), "{each} words a draw");
+    assert!((4.0..16.0).contains(&each), "{each} words a draw");
 }
 
 #[test]

@@ -150,7 +150,7 @@ def test_p_values_of_all_draws_are_uniform() -> None:
 def test_a_wrong_bandwidth_would_be_seen(case: Case) -> None:
     wind = fitted(case)
     state = wind.states[300]
-    counts = counts_at(wind, state, 299, 20_000, seed=1)
+    counts = counts_at(wind, state, False, 20_000, seed=1)
     for h in (0.97 * case.h, 1.03 * case.h):
         weights = lgb_weights(wind.states, wind.whitening, h, state)
         assert min(p_values(counts, weights)) < 0.001
@@ -159,9 +159,9 @@ def test_a_wrong_bandwidth_would_be_seen(case: Case) -> None:
 def test_a_light_tail_would_be_seen() -> None:
     wind = fitted(CASES[-1])
     state = wind.states[300]
-    counts = counts_at(wind, state, 299, 20_000, seed=1)
+    counts = counts_at(wind, state, False, 20_000, seed=1)
     weights = lgb_weights(wind.states, wind.whitening, wind.h, state)
-    weights[np.argsort(-weights)[256:]] *= 0.9  # the rows that no proposal table lists
+    weights[np.argsort(-weights)[256:]] *= 0.9
     assert min(p_values(counts, weights / weights.sum())) < 0.001
 
 

@@ -103,7 +103,8 @@ def test_run_prints_a_summary_and_writes_the_forecast(driftcore: Command) -> Non
 
 
 def test_json_holds_what_the_forecast_says(driftcore: Command) -> None:
-    result = driftcore("run", write(SMALL), "-o", "out.nc", "--json")
+    some_strand = SMALL.replace("members = 3", "members = 20")
+    result = driftcore("run", write(some_strand), "-o", "out.nc", "--json")
     told = json.loads(result.out)
     forecast = dc.open_forecast("out.nc")
     p = forecast.stranding_probability()

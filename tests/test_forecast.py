@@ -409,7 +409,9 @@ def test_given_paths_are_followed_one_member_each(embedded_wind: dc.LocalGridBoo
     drawn = forecast(scenario, embedded_wind, members=4, model="full")
     given = forecast(scenario, paths, model="full")
     for name in ("status", "stranding_time", "stranding_position", "position"):
-        assert np.array_equal(values(given, name), values(drawn, name), equal_nan=True)
+        # Drawn winds step together, given ones each for themselves: errors of 1e-8, more in time
+        # where the coast is grazed.
+        np.testing.assert_allclose(values(given, name), values(drawn, name), atol=1e-6)
     assert given.dataset.attrs["wind_synthetic"] == 0
     assert "4 wind paths" in given.dataset.attrs["wind_label"]
 

@@ -262,7 +262,7 @@ def test_z_by_definition(record: dc.WindRecord, measured: Measured, seed: int) -
     for name, found in measured.found.items():
         z = (expected[name] - found) / measured.error[name]
         assert statistics[name].measured == pytest.approx(np.abs(z).max(), rel=1e-9), name
-        assert statistics[name].limit == law.limit(name, years)
+        assert statistics[name].high == law.limit(name, years)
 
 
 def test_missing_values_make_no_cell_of_the_rose_common() -> None:

@@ -226,7 +226,8 @@ def test_every_model_of_a_forecast_has_the_member_s_wind(
         )  # fmt: skip
         return forecast.dataset["position"].to_numpy()
 
-    assert np.allclose(positions("full", None), exact, rtol=0, atol=1e-9)
+    # Ten steps a tide: 1e-8 at their ends, a few times that inside them.
+    assert np.allclose(positions("full", None), exact, rtol=0, atol=1e-7)
     # Errors of the expansions; another member's wind leads elsewhere by some tenths.
     assert np.allclose(positions("paper", 1), exact, rtol=0, atol=0.01)
     assert np.allclose(positions("mean-flow", 1), exact, rtol=0, atol=2 * scenario.epsilon**2)
