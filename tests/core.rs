@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use driftcore::coast::{Coast, Side};
-use driftcore::ensemble::{self, Ensemble, Member, Scenario, Status, Winds};
+use driftcore::ensemble::{Ensemble, Member, Scenario, Status, Winds};
 use driftcore::error::DriftError;
 use driftcore::field::academic::{AcademicSea, SeparableCurrent};
 use driftcore::field::gridded::{Axis, GriddedSea};

@@ -287,7 +287,7 @@ def test_steps_of_one_length() -> None:
     np.testing.assert_array_equal(end(), end(steps_per_tide=10))
     assert 1e-4 < np.abs(end(steps_per_tide=2) - end()).max() < 1e-1
     for refused in (0, -1.0, np.nan, "many"):
-        with pytest.raises(dc.ScenarioError, match="steps_per_tide: .* is not accepted"):
+        with pytest.raises(dc.ScenarioError, match=r"steps_per_tide: .* is not accepted"):
             end(steps_per_tide=refused)
     with pytest.raises(dc.ScenarioError, match="steps_per_tide"):
         dc.forecast(scenario, members=2, model="mean-flow", order=2, steps_per_tide=4)

@@ -26,6 +26,7 @@ class WindPaths:
     def __new__(cls, start: float, spacing: float, velocity: _Floats) -> WindPaths: ...
     def velocity(self, members: int, times: _Floats) -> _Floats: ...
 
+@final
 class Bootstrap:
     def __new__(
         cls,

@@ -722,11 +722,12 @@ class _Given:
             raise ScenarioError("wind: the list of paths is empty")
         start, end = solver.wind_needed(scenario.duration, scenario.period)
         slack = 1e-9 * (end - start)
-        for k, path in enumerate([paths] if isinstance(paths, WindPaths) else paths):
-            if path.times[0] > start + slack or path.times[-1] < end - slack:
+        spans = [paths.times] if isinstance(paths, WindPaths) else [path.times for path in paths]
+        for k, times in enumerate(spans):
+            if times[0] > start + slack or times[-1] < end - slack:
                 which = "they cover" if together else f"path {k} covers"
                 raise ScenarioError(
-                    f"wind: {which} [{path.times[0]:g}, {path.times[-1]:g}]; "
+                    f"wind: {which} [{times[0]:g}, {times[-1]:g}]; "
                     f"the run needs [{start:g}, {end:g}]"
                 )
         self.scenario, self.paths = scenario, paths

@@ -197,6 +197,9 @@ pub struct Ensemble<'a> {
     side_by_side: Option<SideBySide<'a>>,
 }
 
+/// Steps taken at once where neither a coast nor an output is looked for.
+const UNWATCHED_STEPS: usize = 32;
+
 /// What members that step side by side have in common.
 struct SideBySide<'a> {
     carrier: Carrier,
@@ -267,10 +270,10 @@ impl<'a> Ensemble<'a> {
     }
 
     fn group(&self, members: std::ops::Range<u64>) -> Vec<Member> {
-        if let Some(shared) = &self.side_by_side {
-            if let Ok(wind) = self.lane_wind(members.clone()) {
-                return self.abreast(shared, wind, members);
-            }
+        if let Some(shared) = &self.side_by_side
+            && let Ok(wind) = self.lane_wind(members.clone())
+        {
+            return self.abreast(shared, wind, members);
         }
         members.map(|index| self.alone(index)).collect()
     }
@@ -336,14 +339,19 @@ impl<'a> Ensemble<'a> {
         let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
             return members.map(|index| self.alone(index)).collect();
         };
-        for n in 0..shared.grid.steps() {
-            let (_, t1) = shared.grid.span(n);
+        let watched = bounded || members.start < self.keep;
+        let together = if watched { 1 } else { UNWATCHED_STEPS };
+        let mut n = 0;
+        while n < shared.grid.steps() {
+            let steps = n..(n + together).min(shared.grid.steps());
+            let last = steps.end - 1;
+            n = steps.end;
+            let (_, t1) = shared.grid.span(last);
             wind.draw_until(t1, &adrift);
             let before = state.p;
             let stepped =
-                state.step(&shared.grid, sea.as_ref(), &wind, n, shared.tolerance, bounded);
-            let watched = bounded || members.start < self.keep || state.any_failed();
-            for place in (0..WIDTH).filter(|_| watched) {
+                state.advance(&shared.grid, sea.as_ref(), &wind, steps, shared.tolerance, bounded);
+            for place in 0..WIDTH {
                 if !adrift[place] {
                     continue;
                 }
@@ -365,7 +373,7 @@ impl<'a> Ensemble<'a> {
                 }
                 let stretch = wind.stretch(t1, place);
                 let problem = Problem { wind: &stretch, ..shared.problem };
-                let step = state.one_step(&shared.grid, n, &before, place);
+                let step = state.one_step(&shared.grid, last, &before, place);
                 let member = &mut found[place];
                 let looked = shared.carrier.with_piece(problem, &step, |piece| {
                     self.look(piece, near, times, &mut next[place], member)

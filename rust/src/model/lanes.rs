@@ -5,6 +5,8 @@
 //! (5), (8). As in [`super::full`] the integrator works on `P = X − Λ∬W`, so that only `∬W` enters.
 //! The sea's factors of time are worked out once for all lanes.
 
+use std::ops::Range;
+
 use nalgebra::Matrix2;
 
 use super::{Formulation, Model, Piece, Problem, Reach, harmonics, mean_drift};
@@ -207,36 +209,26 @@ impl State {
         }
     }
 
-    /// Whether any member's steps up to now cannot be relied on.
-    pub fn any_failed(&self) -> bool {
-        (0..WIDTH).any(|place| self.failed(place))
-    }
-
-    /// Goes through step `n`; `tolerance` is (relative, absolute), none to take every step as it
-    /// is. With `bounded`, tells how far the members can have moved.
-    pub fn step(
+    /// Goes through some steps; `tolerance` is (relative, absolute), none to take every step as it
+    /// is. With `bounded`, tells how far the members can have moved within the last of them.
+    pub fn advance(
         &mut self,
         grid: &Grid,
         sea: &dyn SeaField,
         wind: &LaneWind,
-        n: usize,
+        steps: Range<usize>,
         tolerance: Option<(f64, f64)>,
         bounded: bool,
     ) -> Stepped {
-        let t = n as f64 * grid.h;
         let q = self.invariant;
-        let common = Common { grid, wind: wind.view(), t, tolerance, bounded, state: &mut *self };
-        if let Some(matrices) = grid.linear.get(n) {
+        let linear = grid.linear.get(steps.clone());
+        let common =
+            Common { grid, wind: wind.view(), steps, tolerance, bounded, state: &mut *self };
+        if let Some(matrices) = linear {
             return dispatch(StepKernel { field: Linear { matrices, q }, common });
         }
-        let field = Anywhere {
-            sea,
-            carrier: grid.carrier,
-            drag: grid.drag,
-            times: stage_times(t, grid.h),
-            q,
-            lost: [false; WIDTH],
-        };
+        let (carrier, drag) = (grid.carrier, grid.drag);
+        let field = Anywhere { sea, carrier, drag, q, lost: [false; WIDTH] };
         let (stepped, lost) = dispatch(WithLost(StepKernel { field, common }));
         for (all, lost) in self.lost.iter_mut().zip(lost) {
             *all |= lost;
@@ -245,29 +237,30 @@ impl State {
     }
 }
 
-/// What a step gives: the wind's integrals at its end, and how far the members can have moved.
+/// What steps give beside the state.
 pub struct Stepped {
-    /// To be given to [`LaneWind::go_on`].
+    /// The wind's integrals at the end, to be given to [`LaneWind::go_on`].
     pub wind: (usize, [LaneVec2; 2]),
-    /// Bounds, if they were asked for.
+    /// Bounds of the last step, if they were asked for.
     pub reach: Option<LaneReach>,
 }
 
-/// The right-hand side without the wind, at the stages of one step.
+/// The right-hand side without the wind.
 trait StageField {
-    fn rate(&mut self, stage: usize, x: LaneVec2) -> LaneVec2;
+    /// At a stage, which is at time `t`, of the `step`-th step from the first of these.
+    fn rate(&mut self, step: usize, stage: usize, t: f64, x: LaneVec2) -> LaneVec2;
 }
 
 /// A sea linear in the position.
 struct Linear<'a> {
-    matrices: &'a [[f64; 4]; 6],
+    matrices: &'a [[[f64; 4]; 6]],
     q: LaneVec2,
 }
 
 impl StageField for Linear<'_> {
     #[inline(always)]
-    fn rate(&mut self, stage: usize, x: LaneVec2) -> LaneVec2 {
-        let [xx, xy, yx, yy] = self.matrices[stage];
+    fn rate(&mut self, step: usize, stage: usize, _: f64, x: LaneVec2) -> LaneVec2 {
+        let [xx, xy, yx, yy] = self.matrices[step][stage];
         [x[0] * xx + x[1] * xy + self.q[0], x[0] * yx + x[1] * yy + self.q[1]]
     }
 }
@@ -277,16 +270,14 @@ struct Anywhere<'a> {
     sea: &'a dyn SeaField,
     carrier: Carrier,
     drag: f64,
-    times: [f64; 6],
     q: LaneVec2,
     lost: [bool; WIDTH],
 }
 
 impl StageField for Anywhere<'_> {
     #[inline(always)]
-    fn rate(&mut self, stage: usize, x: LaneVec2) -> LaneVec2 {
+    fn rate(&mut self, _: usize, _: usize, t: f64, x: LaneVec2) -> LaneVec2 {
         let mut rate = [Lanes::ZERO; 2];
-        let t = self.times[stage];
         for place in 0..WIDTH {
             match self.carrier.at(self.sea, t, lane(&x, place)) {
                 Ok(velocity) => set_lane(&mut rate, place, velocity),
@@ -303,7 +294,7 @@ impl StageField for Anywhere<'_> {
 struct Common<'a> {
     grid: &'a Grid,
     wind: WindView<'a>,
-    t: f64,
+    steps: Range<usize>,
     tolerance: Option<(f64, f64)>,
     bounded: bool,
     state: &'a mut State,
@@ -349,60 +340,66 @@ fn weighted(weights: &[f64], k: &[LaneVec2; 7], h: f64, component: usize) -> Lan
 impl<F: StageField> StepKernel<'_, F> {
     #[inline(always)]
     fn go(&mut self) -> Stepped {
-        let Common { grid, wind, t, tolerance, bounded, state } = &mut self.common;
-        let (h, drag, t) = (grid.h, grid.drag, *t);
-        let times = stage_times(t, h);
+        let Common { grid, wind, steps, tolerance, bounded, state } = &mut self.common;
+        let (h, drag) = (grid.h, grid.drag);
         let mut walk = wind.walk();
-        let blown = bounded.then(|| (walk.integral(t), walk.double_integral(t, drag)));
-        let mut forcing = [[Lanes::ZERO; 2]; 5];
-        for (forcing, t) in forcing.iter_mut().zip(&times[1..]) {
-            *forcing = walk.double_integral(*t, drag);
-        }
-        let p = state.p;
-        let k = &mut state.stages;
-        k[0] = k[6];
-        macro_rules! stage {
-            ($stage:literal) => {{
-                let mut x = [Lanes::ZERO; 2];
-                for c in 0..2 {
-                    x[c] = p[c] + weighted(A[$stage - 1], k, h, c) + forcing[$stage - 1][c];
-                }
-                k[$stage] = self.field.rate($stage, x);
-            }};
-        }
-        stage!(1);
-        stage!(2);
-        stage!(3);
-        stage!(4);
-        stage!(5);
-        let mut end = [Lanes::ZERO; 2];
-        for c in 0..2 {
-            end[c] = p[c] + weighted(&B, k, h, c);
-        }
-        k[6] = self.field.rate(5, [end[0] + forcing[4][0], end[1] + forcing[4][1]]);
-        if let Some((rtol, atol)) = tolerance {
+        let mut reach = None;
+        for (step, n) in steps.clone().enumerate() {
+            let times = stage_times(n as f64 * h, h);
+            let blown = (*bounded && n + 1 == steps.end)
+                .then(|| (walk.integral(times[0]), walk.double_integral(times[0], drag)));
+            let mut forcing = [[Lanes::ZERO; 2]; 5];
+            for (forcing, t) in forcing.iter_mut().zip(&times[1..]) {
+                *forcing = walk.double_integral(*t, drag);
+            }
+            let p = state.p;
+            let k = &mut state.stages;
+            k[0] = k[6];
+            macro_rules! stage {
+                ($stage:literal) => {{
+                    let mut x = [Lanes::ZERO; 2];
+                    for c in 0..2 {
+                        x[c] = p[c] + weighted(A[$stage - 1], k, h, c) + forcing[$stage - 1][c];
+                    }
+                    k[$stage] = self.field.rate(step, $stage, times[$stage], x);
+                }};
+            }
+            stage!(1);
+            stage!(2);
+            stage!(3);
+            stage!(4);
+            stage!(5);
+            let mut end = [Lanes::ZERO; 2];
             for c in 0..2 {
-                let error = weighted(&E, k, h, c).abs();
-                let allowed = p[c].abs().max(end[c].abs()) * *rtol + Lanes::splat(*atol);
-                state.excess_error = state.excess_error.max(error - allowed);
+                end[c] = p[c] + weighted(&B, k, h, c);
             }
+            let x = [end[0] + forcing[4][0], end[1] + forcing[4][1]];
+            k[6] = self.field.rate(step, 5, times[5], x);
+            if let Some((rtol, atol)) = tolerance {
+                for c in 0..2 {
+                    let error = weighted(&E, k, h, c).abs();
+                    let allowed = p[c].abs().max(end[c].abs()) * *rtol + Lanes::splat(*atol);
+                    state.excess_error = state.excess_error.max(error - allowed);
+                }
+            }
+            reach = blown.map(|(single, double)| {
+                let (mut distance, mut speed) = (Lanes::ZERO, Lanes::ZERO);
+                for power in 0..4 {
+                    let weights = D.map(|weights| weights[power]);
+                    let size =
+                        weighted(&weights, k, h, 0).abs() + weighted(&weights, k, h, 1).abs();
+                    distance += size;
+                    speed += size * ((power + 1) as f64 / h);
+                }
+                let blown = single[0].abs() + single[1].abs() + wind.max_speed(times[5]) * h;
+                LaneReach {
+                    center: [p[0] + double[0], p[1] + double[1]],
+                    radius: distance + blown * (h * drag),
+                    speed: speed + blown * drag,
+                }
+            });
+            state.p = end;
         }
-        let reach = blown.map(|(single, double)| {
-            let (mut distance, mut speed) = (Lanes::ZERO, Lanes::ZERO);
-            for power in 0..4 {
-                let weights = D.map(|weights| weights[power]);
-                let size = weighted(&weights, k, h, 0).abs() + weighted(&weights, k, h, 1).abs();
-                distance += size;
-                speed += size * ((power + 1) as f64 / h);
-            }
-            let blown = single[0].abs() + single[1].abs() + wind.max_speed(times[5]) * h;
-            LaneReach {
-                center: [p[0] + double[0], p[1] + double[1]],
-                radius: distance + blown * (h * drag),
-                speed: speed + blown * drag,
-            }
-        });
-        state.p = end;
         Stepped { wind: walk.end(), reach }
     }
 }

@@ -1,6 +1,8 @@
 //! Winds of several members side by side, on common regular knots, with the integrals that a step
 //! of all of them needs: equations.md (21), summed from knot to knot.
 
+#![expect(clippy::needless_range_loop, reason = "several vectors go together by component")]
+
 use super::bootstrap::Scratch;
 use super::path::WindPath;
 use super::{MemberWind, Sampling, WindGenerator};
