@@ -289,8 +289,10 @@ def test_steps_of_one_length() -> None:
     for refused in (0, -1.0, np.nan, "many"):
         with pytest.raises(dc.ScenarioError, match=r"steps_per_tide: .* is not accepted"):
             end(steps_per_tide=refused)
-    with pytest.raises(dc.ScenarioError, match="steps_per_tide"):
+    with pytest.raises(dc.ScenarioError, match=r"steps_per_tide: 4 .*only the full model"):
         dc.forecast(scenario, members=2, model="mean-flow", order=2, steps_per_tide=4)
+    with pytest.raises(dc.ScenarioError, match=r"steps_per_tide: .*at most 1000000 steps"):
+        end(steps_per_tide=1e9)
 
 
 @pytest.mark.parametrize(

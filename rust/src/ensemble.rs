@@ -227,28 +227,31 @@ impl<'a> Ensemble<'a> {
         let (_, end) = solver.wind_needed(scenario.duration, scenario.sea.period());
         let carrier = Carrier::of(solver.model)
             .filter(|_| solver.euler_step.is_none() && !matches!(winds, Winds::Given(_)));
-        let side_by_side = match carrier {
-            Some(carrier) => {
-                let problem = scenario.problem(WindPath::calm());
-                let longest = steps_per_tide.map_or(carrier.max_step(), |steps| 1.0 / steps);
-                let Scenario { sea, duration, drag, .. } = scenario;
-                Some(SideBySide {
-                    carrier,
-                    grid: Grid::new(carrier, sea.as_ref(), *duration, *drag, longest)?,
-                    problem,
-                    start: carrier.start(problem)?,
-                    tolerance: steps_per_tide.is_none().then_some((solver.rtol, solver.atol)),
-                })
-            }
-            None if steps_per_tide.is_some() => {
+        let shared = carrier.map(|carrier| {
+            let problem = scenario.problem(WindPath::calm());
+            let longest = steps_per_tide.map_or(carrier.max_step(), |steps| 1.0 / steps);
+            let Scenario { sea, duration, drag, .. } = scenario;
+            Ok(SideBySide {
+                carrier,
+                grid: Grid::new(carrier, sea.as_ref(), *duration, *drag, longest)?,
+                problem,
+                start: carrier.start(problem)?,
+                tolerance: steps_per_tide.is_none().then_some((solver.rtol, solver.atol)),
+            })
+        });
+        let side_by_side = match (shared, steps_per_tide) {
+            (Some(shared), Some(_)) => Some(shared?),
+            // What cannot be prepared for all fails member by member, or takes adaptive steps.
+            (Some(shared), None) => shared.ok(),
+            (None, None) => None,
+            (None, Some(steps)) => {
                 return Err(DriftError::invalid(
                     "steps_per_tide",
-                    "a number",
+                    steps,
                     "only the full model and mean-flow order 1, under winds that are drawn or \
                      on common knots, take steps of one length",
                 ));
             }
-            None => None,
         };
         Ok(Self { scenario, winds, solver, times, keep, end, sampling, side_by_side })
     }

@@ -87,6 +87,9 @@ fn stage_times(t: f64, h: f64) -> [f64; 6] {
     [t, t + C[0] * h, t + C[1] * h, t + C[2] * h, t + C[3] * h, t + C[4] * h]
 }
 
+/// Most steps of a common grid: what is kept for each takes some two hundred bytes.
+const MOST_STEPS: f64 = 1e6;
+
 /// The common time grid, with what depends on time alone.
 pub struct Grid {
     carrier: Carrier,
@@ -107,6 +110,13 @@ impl Grid {
         longest: f64,
     ) -> Result<Self, DriftError> {
         let steps = (duration / (longest * sea.period()) - 1e-9).ceil().max(1.0);
+        if steps.is_nan() || steps > MOST_STEPS {
+            return Err(DriftError::invalid(
+                "steps_per_tide",
+                format!("{:.3e}", 1.0 / longest),
+                format!("a run may have at most {MOST_STEPS} steps of one length"),
+            ));
+        }
         let h = duration / steps;
         let steps = steps as usize;
         let mut linear = Vec::new();
