@@ -17,6 +17,7 @@
 //! | [`dopri5`] | adaptive Dormand–Prince stepping with dense output |
 //! | [`model`] | the full system, the paper's averaged system, the mean-flow expansion |
 //! | [`coast`] | first crossing of a trajectory with a coast |
+//! | [`lanes`] | numbers of several members side by side, for vector instructions |
 //! | [`ensemble`] | members followed in parallel |
 
 pub mod coast;
