@@ -619,6 +619,13 @@ fn steps_of_one_length_are_right() {
                         assert!((x - y).norm() < 1e-7, "{model:?}: {}", (x - y).norm());
                     }
                 }
+                // Where the longest of them meet the tolerance, these are the steps: nobody goes alone.
+                let (loose, longest) =
+                    (solver(model, 1e-3), if model == FULL { 10.0 } else { 1.0 });
+                let run = |steps| follow(&scenario, &winds, &loose, steps, outputs, 0..18);
+                for (one, other) in run(None).iter().zip(&run(Some(longest))) {
+                    assert_eq!(one.positions, other.positions);
+                }
             }
         }
     }
