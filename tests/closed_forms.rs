@@ -13,8 +13,10 @@ use driftcore::error::DriftError;
 use driftcore::field::academic::{AcademicSea, SeparableCurrent};
 use driftcore::field::gridded::{Axis, GriddedSea};
 use driftcore::field::{FieldBounds, Harmonics, SeaField, Vec2, in_phase, phasors, real};
+use driftcore::model::lanes::{Carrier, Grid, State};
 use driftcore::model::{Formulation, Model, Piece, Problem, Reach, Solver};
 use driftcore::wind::bootstrap::{Bootstrap, Catalogue};
+use driftcore::wind::lanes::{LaneWind, WindPaths};
 use driftcore::wind::path::WindPath;
 use driftcore::wind::small_scale::SmallScale;
 use driftcore::wind::{Sampling, WindGenerator, sample};
@@ -108,6 +110,38 @@ fn reach_is_that_of_the_table() {
             Ok(ControlFlow::Continue(()))
         });
         assert!(run.is_ok_and(|work| work.accepted == count) && count > 0, "{model:?}");
+    }
+}
+
+/// The same table for members side by side, whose sums are of the components' magnitudes.
+#[test]
+fn lanes_reach_as_far_as_the_table_says() {
+    let zero = FieldBounds { tide: 0.0, gradient: 0.0, rate: 0.0, residual: 0.0 };
+    let sea = Bounded { bounds: zero };
+    let (position, velocity, drag) = (Vec2::new(0.8, -0.6), Vec2::new(0.3, -0.4), 1.7);
+    let s = velocity.x.abs() + velocity.y.abs();
+    let wind = steady(velocity);
+    let problem = Problem { sea: &sea, wind: &wind, drag, duration: 2.0, position, velocity };
+    let paths = WindPaths::new(-0.3, 0.7, [3, 5], |_, _| velocity).unwrap();
+    for carrier in [Carrier::Velocity, Carrier::MeanDrift] {
+        let grid = Grid::new(carrier, &sea, 2.0, drag, 0.01).unwrap();
+        assert_eq!(grid.steps(), 64);
+        for last in [0, 1, 7, 40, 63] {
+            let (t, end) = grid.span(last);
+            let h = end - t;
+            let lanes = LaneWind::in_memory(&paths, 0);
+            let mut state = State::new(&grid, &problem, position).unwrap();
+            let steps = 0..last + 1;
+            let stepped = state.advance(&grid, &sea, &lanes, steps, Some((1e-9, 1e-9)), true);
+            let Reach { center, radius, speed } = stepped.reach.unwrap().of(2);
+            let blown = drag * (s * t + h * s);
+            let moved = s * h * (1.0 - drag * t).abs() + drag * s * h * h / 2.0;
+            assert!((center - position - velocity * t).norm() < 1e-9, "at {t}: {center}");
+            assert!((radius - moved - h * blown).abs() < 1e-6, "at {t}: {radius}");
+            let fastest = s * (1.0 - drag * t).abs() + drag * s * h + blown;
+            assert!((speed - fastest).abs() < 1e-6, "at {t}: {speed}");
+            assert!(!state.failed(2));
+        }
     }
 }
 

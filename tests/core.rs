@@ -581,6 +581,56 @@ fn lanes_do_not_influence_each_other() {
     }
 }
 
+/// Steps of one length have no error control that would send a member on its own way: they must be
+/// right by themselves. Winds drawn and in memory, both models, a sea linear in the position and
+/// one that is not, against members alone.
+#[test]
+fn steps_of_one_length_are_right() {
+    let generator = generator_of(1.0);
+    let duration = 0.3;
+    let times: Vec<f64> = (1..=6).map(|k| f64::from(k) / 20.0).collect();
+    let academic: Arc<dyn SeaField> = Arc::new(AcademicSea::paper(0.02).unwrap());
+    let gridded: Arc<dyn SeaField> = Arc::new(nonlinear_sea(0.02));
+    for sea in [academic, gridded] {
+        let scenario = Scenario { duration, ..scenario(sea, None, Vec2::new(1.0, 1.0)) };
+        for model in [FULL, Model::MeanFlow { order: 1 }] {
+            let sampling = if model == FULL { Sampling::Fine } else { Sampling::Coarse };
+            let paths: Vec<WindPath> =
+                (0..18).map(|k| generator.path(3, k, duration, sampling).unwrap()).collect();
+            let given: Vec<&WindPath> = paths.iter().collect();
+            let (start, step) = (paths[0].start(), paths[0].times()[1] - paths[0].times()[0]);
+            let shape = [18, paths[0].times().len()];
+            let lanes = WindPaths::new(start, step, shape, |k, knot| paths[k].knots()[knot]);
+            let drawn = Winds::Drawn { generator: &generator, seed: 3 };
+            let in_memory = Winds::InMemory(lanes.as_ref().unwrap());
+            let straight: Vec<WindPath> = (paths.iter())
+                .map(|path| WindPath::new(path.times().to_vec(), path.knots().to_vec()).unwrap())
+                .collect();
+            let straight: Vec<&WindPath> = straight.iter().collect();
+            for (winds, given) in [(drawn, given), (in_memory, straight)] {
+                let fixed = solver(model, 1e-6);
+                let outputs = (times.as_slice(), 18);
+                let abreast = follow(&scenario, &winds, &fixed, Some(30.0), outputs, 0..18);
+                let exact = solver(model, 1e-11);
+                let alone = follow(&scenario, &Winds::Given(&given), &exact, None, outputs, 0..18);
+                for (one, other) in alone.iter().zip(&abreast) {
+                    assert_eq!((one.positions.len(), other.positions.len()), (6, 6));
+                    for (x, y) in one.positions.iter().zip(&other.positions) {
+                        assert!((x - y).norm() < 1e-7, "{model:?}: {}", (x - y).norm());
+                    }
+                }
+                // Where the longest of them meet the tolerance, these are the steps: nobody goes alone.
+                let (loose, longest) =
+                    (solver(model, 1e-3), if model == FULL { 10.0 } else { 1.0 });
+                let run = |steps| follow(&scenario, &winds, &loose, steps, outputs, 0..18);
+                for (one, other) in run(None).iter().zip(&run(Some(longest))) {
+                    assert_eq!(one.positions, other.positions);
+                }
+            }
+        }
+    }
+}
+
 /// The fixed steps of the full model are of fifth order at least: where the sea changes little with
 /// the position they are nearly a quadrature, which has one more.
 #[test]

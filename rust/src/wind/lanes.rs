@@ -454,3 +454,150 @@ impl Walk<'_> {
         (self.knot, sums)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::super::bootstrap::{Bootstrap, Catalogue};
+    use super::super::small_scale::SmallScale;
+    use super::*;
+
+    const MEMBERS: usize = 20;
+
+    /// Winds of a wavy kind on knots that begin before the release, but not at a whole knot.
+    fn in_memory() -> Result<WindPaths, DriftError> {
+        WindPaths::new(-0.34, 0.25, [MEMBERS, 12], |member, knot| {
+            let phase = (3 * member + 2 * knot) as f64;
+            Vec2::new(phase.sin(), 2.0 + phase.cos())
+        })
+    }
+
+    fn generator() -> Result<WindGenerator, DriftError> {
+        // One row: white noise, and a small scale that decays within a step.
+        let bootstrap = Bootstrap::new(Catalogue {
+            order: 1,
+            states: vec![0.0, 0.0],
+            whitening: vec![1.0, 0.0, 0.0, 1.0],
+            target: vec![0.0, 0.0],
+            predictor: vec![0.0; 6],
+            noise: vec![1.0, 0.0, 0.0, 1.0],
+            row: vec![1],
+            phase: vec![0],
+            start: vec![true],
+            cycle: vec![0.3, -0.7],
+            bandwidth: 0.5,
+        })?;
+        let small_scale = SmallScale::new(0.8, 0.1, 0.25, 3)?;
+        WindGenerator::new(Arc::new(bootstrap), small_scale, 0.25, 1.0, 2, None)
+    }
+
+    /// Walks with a wind to time 2, a few steps at once, and asks on the way for everything that a
+    /// walk, a stretch and a bound give; `path` is the wind of the lane.
+    fn assert_is(mut wind: LaneWind, place: usize, path: &WindPath) {
+        let (single0, double0) = path.integrals(0.0);
+        let wanted = std::array::from_fn(|k| k == place);
+        let near = |a: Vec2, b: Vec2| assert!((a - b).norm() < 1e-12, "{a} {b}");
+        let steps = 32;
+        let time = |n: usize| 2.0 * n as f64 / f64::from(steps);
+        for n in (0..steps as usize).step_by(4) {
+            let end = time(n + 4);
+            wind.draw_until(end, &wanted);
+            let mut walk = wind.view().walk();
+            for t in (n..=n + 4).map(time) {
+                let (single, double) = path.integrals(t);
+                let (single, double) = (single - single0, double - double0 - single0 * t);
+                near(lane(&walk.integral(t), place), single);
+                near(lane(&walk.double_integral(t, 1.7), place), double * 1.7);
+                let stretch = wind.stretch(end, place);
+                near(stretch.velocity(t), path.velocity(t));
+                near(stretch.integral(t), single);
+                near(stretch.double_integral(t), double);
+            }
+            // No knot of the stretch is beyond the interval of its end.
+            let view = wind.view();
+            let first = view.start + view.base as f64 * view.spacing;
+            let knots = wind.stretch(end, place).times().len() as f64;
+            assert!(first + (knots - 2.0) * view.spacing <= end + 1e-12);
+            let bound = view.max_speed(end).0[place];
+            let known: f64 = (0..40)
+                .map(|k| path.velocity(first + (end - first) * f64::from(k) / 39.0).norm())
+                .fold(0.0, f64::max);
+            assert!(bound >= known, "{bound} {known}");
+            let walked = walk.end();
+            wind.go_on(walked);
+        }
+    }
+
+    #[test]
+    fn a_walk_is_the_path() -> Result<(), DriftError> {
+        let paths = in_memory()?;
+        for member in [0, 5, 15, 16, 19] {
+            let path = paths.path(member)?;
+            assert_eq!((path.start(), path.end(), path.knots().len()), (-0.34, paths.end(), 12));
+            for (knot, t) in path.times().iter().enumerate() {
+                let phase = (3 * member + 2 * knot) as f64;
+                assert_eq!(path.knots()[knot], Vec2::new(phase.sin(), 2.0 + phase.cos()));
+                for t in [t - 0.2, *t, t + 0.1] {
+                    assert!((paths.velocity(member, t) - path.velocity(t)).norm() < 1e-12);
+                }
+            }
+            let (group, place) = (member / WIDTH, member % WIDTH);
+            assert_is(LaneWind::in_memory(&paths, group), place, &path);
+        }
+        let generator = generator()?;
+        for sampling in [Sampling::Coarse, Sampling::Fine] {
+            for place in [0, 3, 7] {
+                let path = generator.path(8, 40 + place as u64, 2.0, sampling)?;
+                assert_is(LaneWind::drawn(&generator, 8, 40..48, sampling)?, place, &path);
+            }
+        }
+        Ok(())
+    }
+
+    /// Of steady and of growing winds the bound is known.
+    #[test]
+    fn max_speed_is_that_of_the_knots() -> Result<(), DriftError> {
+        let paths = WindPaths::new(0.0, 0.5, [1, 9], |_, knot| Vec2::new(-(knot as f64), 2.0))?;
+        let wind = LaneWind::in_memory(&paths, 0);
+        for (t, knot) in [(0.1, 1.0), (0.5, 1.0), (0.6, 2.0), (3.9, 8.0), (4.0, 8.0)] {
+            assert_eq!(wind.view().max_speed(t).0[0], knot + 2.0);
+        }
+        let knots = vec![[Lanes::splat(1.0), Lanes::splat(-2.0)]; 4];
+        let excess = [0.1, -0.2, 0.5].map(|e| [Lanes::splat(e), Lanes::splat(e)]);
+        let sums = [[Lanes::ZERO; 2]; 2];
+        let view = WindView {
+            velocity: &knots,
+            excess: &excess,
+            spacing: 0.5,
+            start: 1.0,
+            base: 0,
+            sums: &sums,
+        };
+        for (t, excess) in [(1.4, 0.2), (1.6, 0.4), (2.4, 1.0)] {
+            assert!((view.max_speed(t).0[0] - 3.0 - 1.5 * excess).abs() < 1e-12);
+        }
+        Ok(())
+    }
+
+    /// Paths must cover the run up to rounding, and be paths.
+    #[test]
+    fn paths_cover_the_run() -> Result<(), DriftError> {
+        let paths = WindPaths::new(-1.0, 500.0, [1, 3], |_, _| Vec2::zeros())?;
+        assert_eq!((paths.members(), paths.end()), (1, 999.0));
+        for (start, end, covered) in [
+            (-1.0, 999.0, true),
+            (0.0, 500.0, true),
+            (-1.0 - 5e-7, 999.0 + 5e-7, true),
+            (-1.0 - 5e-6, 999.0, false),
+            (-1.0, 999.0 + 5e-6, false),
+        ] {
+            assert_eq!(paths.require(start, end).is_ok(), covered, "{start} {end}");
+        }
+        assert!(paths.path(1).is_err());
+        for (spacing, shape) in [(0.0, [1, 3]), (1.0, [0, 3]), (1.0, [1, 1])] {
+            assert!(WindPaths::new(0.0, spacing, shape, |_, _| Vec2::zeros()).is_err());
+        }
+        Ok(())
+    }
+}
