@@ -654,6 +654,30 @@ fn splines_reproduce_cubics() {
     }
 }
 
+/// One coefficient alone is one B-spline: the cube `u³/6` in its first cell, nothing before it.
+/// (A polynomial all over the grid would not tell in which cell it is evaluated.)
+#[test]
+fn splines_are_local() {
+    let x = Axis { start: 0.0, step: 0.5, count: 9 };
+    let constant = Axis { start: 0.0, step: 1.0, count: 1 };
+    for last in 3..=10 {
+        let coefficients = (0..11)
+            .flat_map(|k| [Complex64::from(f64::from(u8::from(k == last))), Complex64::from(0.0)]);
+        let sea =
+            GriddedSea::new(1.0, [x, constant, constant], 0, 2, coefficients.collect()).unwrap();
+        for place in [0.3, 0.9, 1.4, 2.2, 3.7, 4.5, 5.1, 6.6, 7.2, 7.9] {
+            let into = place - (last as f64 - 3.0);
+            let found = sea.velocity(0.0, Vec2::new(0.5 * place, 7.0)).unwrap();
+            if into <= 1.0 {
+                let expected = into.max(0.0).powi(3) / 6.0;
+                assert!((found.x - expected).abs() < 1e-14, "{last}, {place}: {found}");
+            } else {
+                assert!(into >= 4.0 || found.x > 0.0, "{last}, {place}: {found}");
+            }
+        }
+    }
+}
+
 /// A tide `z₀ + gx + ky` that grows as `1 + rt`: its bounds are those of the nodes that can
 /// matter, and exact where they are sums of differences.
 #[test]
