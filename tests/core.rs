@@ -541,6 +541,19 @@ fn side_by_side_as_alone() {
     }
 }
 
+/// Who leaves the grid side by side with others is followed alone, and has left the domain.
+#[test]
+fn members_leave_the_domain_side_by_side() {
+    let generator = generator_of(0.3);
+    let drawn = Winds::Drawn { generator: &generator, seed: 3 };
+    let scenario = scenario(Arc::new(nonlinear_sea(0.05)), None, Vec2::new(3.95, 0.5));
+    for model in [FULL, Model::MeanFlow { order: 1 }] {
+        let members = follow(&scenario, &drawn, &solver(model, 1e-5), None, (&[], 0), 0..20);
+        assert!(members.iter().any(|member| member.status == Status::LeftDomain));
+        assert!(members.iter().all(|member| member.status != Status::Failed));
+    }
+}
+
 /// Neither the lane nor the neighbours of a member matter: parts of a run, begun anywhere, are the
 /// run, bit for bit, with winds drawn and with winds in memory.
 #[test]

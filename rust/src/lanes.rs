@@ -73,14 +73,6 @@ impl Sub for Lanes {
     }
 }
 
-impl Mul for Lanes {
-    type Output = Self;
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        self.zip(other, |a, b| a * b)
-    }
-}
-
 impl Mul<f64> for Lanes {
     type Output = Self;
     #[inline(always)]
