@@ -4,7 +4,7 @@
 #![expect(clippy::needless_range_loop, reason = "several vectors go together by component")]
 
 use super::bootstrap::Scratch;
-use super::path::WindPath;
+use super::path::{WindPath, require_cover};
 use super::{MemberWind, Sampling, WindGenerator};
 use crate::error::{DriftError, positive};
 use crate::field::Vec2;
@@ -64,16 +64,7 @@ impl WindPaths {
 
     /// Fails unless the paths cover `[start, end]`, up to rounding.
     pub fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
-        let slack = 1e-9 * (end - start);
-        if self.start <= start + slack && self.end() >= end - slack {
-            return Ok(());
-        }
-        Err(DriftError::WindTooShort {
-            start: self.start,
-            end: self.end(),
-            need_start: start,
-            need_end: end,
-        })
+        require_cover((self.start, self.end()), (start, end))
     }
 
     fn block(&self, group: usize) -> &[LaneVec2] {
@@ -143,8 +134,8 @@ impl<'a> LaneWind<'a> {
             sums: [[Lanes::ZERO; 2]; 2],
         };
         // From the first knot to the release, which becomes the origin of the integrals.
-        wind.base = wind.place(0.0).0;
-        let u = wind.place(0.0).1;
+        let u;
+        (wind.base, u) = wind.place(0.0);
         let (single, double) = wind.view().within(wind.base, u);
         for k in 0..2 {
             wind.sums[0][k] = Lanes::ZERO - single[k];

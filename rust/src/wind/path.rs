@@ -138,16 +138,7 @@ impl WindPath {
 
     /// Fails unless the path covers `[start, end]`, up to rounding.
     pub fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
-        let slack = 1e-9 * (end - start);
-        if self.start() <= start + slack && self.end() >= end - slack {
-            return Ok(());
-        }
-        Err(DriftError::WindTooShort {
-            start: self.start(),
-            end: self.end(),
-            need_start: start,
-            need_end: end,
-        })
+        require_cover((self.start(), self.end()), (start, end))
     }
 
     /// Interval of `t` and the time since its first knot; the end intervals are continued.
@@ -227,6 +218,18 @@ impl WindPath {
         let knots = self.velocity.iter().map(|w| w.norm()).fold(0.0, f64::max);
         knots + 1.5 * self.excess.iter().map(|e| e.norm()).fold(0.0, f64::max)
     }
+}
+
+/// Fails unless a wind known on `[start, end]` covers the times needed, up to rounding.
+pub(super) fn require_cover(
+    (start, end): (f64, f64),
+    (need_start, need_end): (f64, f64),
+) -> Result<(), DriftError> {
+    let slack = 1e-9 * (need_end - need_start);
+    if start <= need_start + slack && end >= need_end - slack {
+        return Ok(());
+    }
+    Err(DriftError::WindTooShort { start, end, need_start, need_end })
 }
 
 #[cfg(test)]
