@@ -81,6 +81,15 @@ class Sea:
         tide_harmonics: int,
         coefficients: NDArray[np.complex128],
     ) -> Sea: ...
+    @staticmethod
+    def constituents(
+        period: float,
+        axes: list[tuple[float, float, int]],
+        constituents: list[tuple[float, int]],
+        coefficients: NDArray[np.complex128],
+    ) -> Sea: ...
+    @staticmethod
+    def sum(seas: list[Sea]) -> Sea: ...
     def velocity(self, times: _Floats, positions: _Floats) -> _Floats: ...
 
 @final
@@ -130,4 +139,32 @@ class Scenario:
         keep: int,
         threads: int,
         steps_per_tide: float | None = None,
+    ) -> _Outcome: ...
+
+@final
+class Fleet:
+    def __new__(
+        cls,
+        sea: Sea,
+        coast: Coast | None,
+        latitude: float | None,
+        end: float,
+        first: int,
+        times: _Floats,
+        positions: _Floats,
+        velocities: _Floats | None,
+        bodies: _Floats,
+        jibing_rate: float,
+        seed: int,
+    ) -> Fleet: ...
+    def trajectory(self, wind: WindPath, solver: Solver, times: _Floats) -> list[_Floats]: ...
+    def run(
+        self,
+        winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
+        solver: Solver,
+        first: int,
+        count: int,
+        times: _Floats,
+        keep: int,
+        threads: int,
     ) -> _Outcome: ...

@@ -12,7 +12,7 @@ use crate::error::DriftError;
 use crate::field::{SeaField, Vec2};
 use crate::lanes::WIDTH;
 use crate::model::lanes::{Carrier, Grid, State};
-use crate::model::{Model, Piece, Problem, Reach, Solver};
+use crate::model::{Model, OnPiece, Piece, Problem, Reach, Solver};
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
 use crate::wind::{Sampling, WindGenerator};
@@ -34,6 +34,16 @@ pub struct Scenario {
 }
 
 impl Scenario {
+    /// Follows the body through the whole run under a given wind, whatever coast there is.
+    pub fn trajectory(
+        &self,
+        wind: &WindPath,
+        solver: &Solver,
+        times: &[f64],
+    ) -> Result<Trajectory, DriftError> {
+        trajectory(times, |on_piece| solver.follow(self.problem(wind), on_piece))
+    }
+
     fn problem<'a>(&'a self, wind: &'a WindPath) -> Problem<'a> {
         Problem {
             sea: self.sea.as_ref(),
@@ -73,6 +83,18 @@ pub struct Member {
     pub failure: Option<DriftError>,
 }
 
+impl Member {
+    /// One that could not be followed at all.
+    pub(crate) fn failed(error: DriftError) -> Self {
+        Self {
+            status: Status::Failed,
+            stranding: None,
+            positions: Vec::new(),
+            failure: Some(error),
+        }
+    }
+}
+
 /// What a trajectory holds at each output time.
 #[derive(Debug, Clone, Default)]
 pub struct Trajectory {
@@ -102,16 +124,14 @@ fn outputs(
     Ok(())
 }
 
-/// Follows one body through the whole run under a given wind, whatever coast there is.
-pub fn trajectory(
-    scenario: &Scenario,
-    wind: &WindPath,
-    solver: &Solver,
+/// Records what `follow` hands over, a body's motion through the whole run, at some times.
+pub(crate) fn trajectory(
     times: &[f64],
+    follow: impl FnOnce(OnPiece) -> Result<Work, DriftError>,
 ) -> Result<Trajectory, DriftError> {
     let mut next = 0;
     let mut out = Trajectory::default();
-    let work = solver.follow(scenario.problem(wind), &mut |piece| {
+    let work = follow(&mut |piece| {
         outputs(piece, times, &mut next, f64::INFINITY, |t| {
             out.position.push(piece.position(t)?);
             out.velocity.push(piece.velocity(t)?);
@@ -123,14 +143,21 @@ pub fn trajectory(
     Ok(Trajectory { work, ..out })
 }
 
-/// Follows one body until it strands; what goes wrong on the way becomes its status.
-fn member(scenario: &Scenario, wind: &WindPath, solver: &Solver, times: &[f64]) -> Member {
-    let mut next = 0;
+/// Follows one body, released at `start`, until it strands; what goes wrong on the way becomes its
+/// status. The coast comes with the tide's period; before the release there is no position.
+pub(crate) fn member(
+    (coast, period): (Option<&Coast>, f64),
+    start: f64,
+    times: &[f64],
+    follow: impl FnOnce(OnPiece) -> Result<Work, DriftError>,
+) -> Member {
+    let mut next = times.partition_point(|t| *t < start);
     let mut positions = Vec::with_capacity(times.len());
+    positions.resize(next, Vec2::repeat(f64::NAN));
     let mut stranding = None;
-    let run = solver.follow(scenario.problem(wind), &mut |piece| {
-        if let Some(coast) = &scenario.coast {
-            stranding = coast.first_crossing(piece, scenario.sea.period())?;
+    let run = follow(&mut |piece| {
+        if let Some(coast) = coast {
+            stranding = coast.first_crossing(piece, period)?;
         }
         let until = stranding.map_or(f64::INFINITY, |(t, _)| t);
         outputs(piece, times, &mut next, until, |t| {
@@ -167,7 +194,8 @@ pub enum Winds<'a> {
 }
 
 impl Winds<'_> {
-    fn path(
+    /// Wind path of one member, up to `end` if it is drawn.
+    pub(crate) fn path(
         &self,
         member: u64,
         end: f64,
@@ -288,13 +316,13 @@ impl<'a> Ensemble<'a> {
     /// Follows one member by the adaptive integrator.
     fn alone(&self, index: u64) -> Member {
         match self.winds.path(index, self.end, self.sampling) {
-            Ok(path) => member(self.scenario, &path, &self.solver, self.times(index)),
-            Err(error) => Member {
-                status: Status::Failed,
-                stranding: None,
-                positions: Vec::new(),
-                failure: Some(error),
-            },
+            Ok(path) => {
+                let Scenario { coast, sea, .. } = self.scenario;
+                member((coast.as_ref(), sea.period()), 0.0, self.times(index), |on_piece| {
+                    self.solver.follow(self.scenario.problem(&path), on_piece)
+                })
+            }
+            Err(error) => Member::failed(error),
         }
     }
 

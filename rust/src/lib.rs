@@ -17,14 +17,18 @@
 //! | [`dopri5`] | adaptive Dormand–Prince stepping with dense output |
 //! | [`model`] | the full system, the paper's averaged system, the mean-flow expansion |
 //! | [`coast`] | first crossing of a trajectory with a coast |
+//! | [`geometry`] | plane and sphere |
 //! | [`lanes`] | numbers of several members side by side, for vector instructions |
-//! | [`ensemble`] | members followed in parallel |
+//! | [`ensemble`] | members followed in parallel: the paper's body |
+//! | [`fleet`] | the same for bodies of any kind, each with its own release |
 
 pub mod coast;
 pub mod dopri5;
 pub mod ensemble;
 pub mod error;
 pub mod field;
+pub mod fleet;
+pub mod geometry;
 pub mod lanes;
 pub mod model;
 #[cfg(feature = "python")]

@@ -12,11 +12,15 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::coast::{Coast as CoreCoast, Side};
-use crate::ensemble::{self, Ensemble, Member, Winds};
+use crate::ensemble::{self, Ensemble, Member, Trajectory, Winds};
 use crate::error::DriftError;
 use crate::field::academic::{AcademicSea, SeparableCurrent};
-use crate::field::gridded::{Axis, GriddedSea};
-use crate::field::{SeaField, Vec2};
+use crate::field::gridded::{Axis, GriddedSea, Tide};
+use crate::field::sum::SumOfSeas;
+use crate::field::{Harmonic, SeaField, Vec2};
+use crate::fleet::Fleet as CoreFleet;
+use crate::geometry::Geometry;
+use crate::model::body::{Body, Line, Release};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
 use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
 use crate::wind::lanes::WindPaths as CorePaths;
@@ -316,6 +320,18 @@ fn separable(
     })
 }
 
+fn gridded_sea(
+    period: f64,
+    axes: [(f64, f64, usize); 3],
+    tide: Tide,
+    coefficients: &PyReadonlyArray4<Complex64>,
+) -> PyResult<Sea> {
+    let channels = coefficients.shape()[3];
+    let values = coefficients.as_array().iter().copied().collect();
+    let axes = axes.map(|(start, step, count)| Axis { start, step, count });
+    Ok(Sea(Arc::new(GriddedSea::new(period, axes, tide, channels, values)?)))
+}
+
 #[pymethods]
 impl Sea {
     #[staticmethod]
@@ -338,11 +354,28 @@ impl Sea {
         tide_harmonics: usize,
         coefficients: PyReadonlyArray4<Complex64>,
     ) -> PyResult<Self> {
-        let channels = coefficients.shape()[3];
-        let values = coefficients.as_array().iter().copied().collect();
-        let axes = axes.map(|(start, step, count)| Axis { start, step, count });
-        let sea = GriddedSea::new(period, axes, tide_harmonics, channels, values)?;
-        Ok(Self(Arc::new(sea)))
+        gridded_sea(period, axes, Tide::Harmonics(tide_harmonics), &coefficients)
+    }
+
+    /// The same, the tide's channels being those of constituents (frequency, species).
+    #[staticmethod]
+    fn constituents(
+        period: f64,
+        axes: [(f64, f64, usize); 3],
+        constituents: Vec<(f64, u32)>,
+        coefficients: PyReadonlyArray4<Complex64>,
+    ) -> PyResult<Self> {
+        let lines = (constituents.into_iter())
+            .map(|(omega, species)| Harmonic { omega, species, ..Harmonic::default() })
+            .collect();
+        gridded_sea(period, axes, Tide::Constituents(lines), &coefficients)
+    }
+
+    /// Several seas at once; the first has the tide's period.
+    #[staticmethod]
+    fn sum(seas: Vec<Py<Sea>>) -> PyResult<Self> {
+        let parts = seas.iter().map(|sea| sea.get().0.clone()).collect();
+        Ok(Self(Arc::new(SumOfSeas::new(parts)?)))
     }
 
     fn velocity<'py>(
@@ -470,15 +503,8 @@ impl Scenario {
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
         let times = times.as_array().to_vec();
-        let out = py.detach(|| ensemble::trajectory(&self.0, &wind.0, &solver.0, &times))?;
-        let (mean_position, mean_velocity): (Vec<_>, Vec<_>) = out.mean.into_iter().unzip();
-        let arrays = [
-            columns(py, &out.position)?,
-            columns(py, &out.velocity)?,
-            columns(py, &mean_position)?,
-            columns(py, &mean_velocity)?,
-        ];
-        Ok((arrays, [out.work.accepted, out.work.rejected, out.work.evaluations]))
+        let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
+        trajectory_arrays(py, out)
     }
 
     /// Members `first` to `first + count` under winds drawn for (seed, member), under the paths of
@@ -498,58 +524,179 @@ impl Scenario {
         steps_per_tide: Option<f64>,
     ) -> PyResult<Outcome<'py>> {
         let times = times.as_array().to_vec();
-        let paths: Vec<&CorePath> = match &winds {
-            GivenWinds::Paths(paths) => paths.iter().map(|path| &path.get().0).collect(),
-            _ => Vec::new(),
-        };
-        let winds = match &winds {
-            GivenWinds::Drawn(generator, seed) => {
-                Winds::Drawn { generator: &generator.get().0, seed: *seed }
-            }
-            GivenWinds::Paths(_) => Winds::Given(&paths),
-            GivenWinds::InMemory(paths) => Winds::InMemory(&paths.get().0),
-        };
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        let members = first..first + count;
-        let kept = keep.saturating_sub(members.start).min(count) as usize;
+        let paths = winds.paths();
+        let winds = winds.core(&paths);
         let outputs = (times.as_slice(), keep);
         let ensemble =
             py.detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?;
-        let mut size = BATCH * threads as u64;
-        let mut followed: Vec<Member> = Vec::with_capacity(count as usize);
-        let mut at = members.start;
-        while at < members.end {
-            let batch = at..(at + size).min(members.end);
-            at = batch.end;
-            let began = Instant::now();
-            followed.extend(py.detach(|| pool.install(|| ensemble.follow(batch))));
-            py.check_signals()?;
-            if began.elapsed() < SIGNALS_LOOKED_FOR {
-                size *= 2;
-            }
-        }
-        let nowhere = Vec2::repeat(f64::NAN);
-        let status: Vec<i8> = followed.iter().map(|member| member.status as i8).collect();
-        let (stranding_times, places): (Vec<f64>, Vec<Vec2>) =
-            followed.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
-        let mut positions = Vec::with_capacity(kept * times.len());
-        for member in &followed[..kept] {
-            positions.extend(&member.positions);
-            positions.resize(positions.len() + times.len() - member.positions.len(), nowhere);
-        }
-        let failure =
-            followed.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
-        Ok((
-            status.into_pyarray(py),
-            stranding_times.into_pyarray(py),
-            columns(py, &places)?,
-            layers(py, [kept, times.len()], &positions)?,
-            failure,
-        ))
+        let members = first..first + count;
+        run_batches(py, members, threads, (keep, times.len()), |batch| ensemble.follow(batch))
     }
+}
+
+/// Bodies of any kind, each with its release.
+#[pyclass(frozen)]
+struct Fleet(CoreFleet);
+
+#[pymethods]
+impl Fleet {
+    /// On the plane, or on the sphere about a reference point of some latitude. Member `first + k`
+    /// is released at `times[k]` from `positions[k]`, with the water's velocity if none is given.
+    /// A row of `bodies`: response time, slip; slope and offset of the leeway downwind, crosswind
+    /// and crosswind when jibed; wind-driven current along the wind and to its right.
+    #[new]
+    #[pyo3(signature = (sea, coast, latitude, end, first, times, positions, velocities, bodies, jibing_rate, seed))]
+    #[expect(clippy::too_many_arguments, reason = "what names a fleet")]
+    fn new(
+        sea: &Sea,
+        coast: Option<&Coast>,
+        latitude: Option<f64>,
+        end: f64,
+        first: u64,
+        times: PyReadonlyArray1<f64>,
+        positions: PyReadonlyArray2<f64>,
+        velocities: Option<PyReadonlyArray2<f64>>,
+        bodies: PyReadonlyArray2<f64>,
+        jibing_rate: f64,
+        seed: u64,
+    ) -> PyResult<Self> {
+        let positions = points("positions", &positions)?;
+        let velocities = velocities.map(|v| points("velocities", &v)).transpose()?;
+        let count = positions.len();
+        if times.len() != count || velocities.as_ref().is_some_and(|v| v.len() != count) {
+            let accepted = format!("one for each of the {count} positions");
+            return Err(DriftError::invalid("times", times.len(), accepted).into());
+        }
+        if bodies.shape()[1] != 10 {
+            return Err(DriftError::invalid("bodies", bodies.shape()[1], "10 columns").into());
+        }
+        let releases = (times.as_array().iter().zip(positions).enumerate())
+            .map(|(k, (time, position))| Release {
+                time: *time,
+                position,
+                velocity: velocities.as_ref().map(|v| v[k]),
+            })
+            .collect();
+        let bodies = (bodies.as_array().outer_iter())
+            .map(|row| {
+                let line = |k: usize| Line { slope: row[k], offset: row[k + 1] };
+                Body {
+                    response: row[0],
+                    slip: row[1],
+                    downwind: line(2),
+                    crosswind: line(4),
+                    jibed: line(6),
+                    surface_current: [row[8], row[9]],
+                }
+            })
+            .collect();
+        let fleet = CoreFleet {
+            sea: sea.0.clone(),
+            coast: coast.map(|coast| coast.0.clone()),
+            geometry: latitude.map_or(Geometry::Plane, |latitude| Geometry::Sphere { latitude }),
+            end: crate::error::positive("end", end)?,
+            first,
+            releases,
+            bodies,
+            jibing_rate,
+            seed,
+        };
+        Ok(Self(fleet.validated()?))
+    }
+
+    /// As `Scenario.trajectory`, of the first body.
+    fn trajectory<'py>(
+        &self,
+        py: Python<'py>,
+        wind: &WindPath,
+        solver: &Solver,
+        times: PyReadonlyArray1<f64>,
+    ) -> PyResult<Followed<'py>> {
+        let times = times.as_array().to_vec();
+        let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
+        trajectory_arrays(py, out)
+    }
+
+    /// As `Scenario.run`.
+    #[expect(clippy::too_many_arguments, reason = "what names a run")]
+    fn run<'py>(
+        &self,
+        py: Python<'py>,
+        winds: GivenWinds,
+        solver: &Solver,
+        first: u64,
+        count: u64,
+        times: PyReadonlyArray1<f64>,
+        keep: u64,
+        threads: usize,
+    ) -> PyResult<Outcome<'py>> {
+        let times = times.as_array().to_vec();
+        let paths = winds.paths();
+        let winds = winds.core(&paths);
+        let outputs = (times.as_slice(), keep);
+        let members = first..first + count;
+        run_batches(py, members, threads, (keep, times.len()), |batch| {
+            self.0.follow(&winds, &solver.0, outputs, batch)
+        })
+    }
+}
+
+/// Follows members in batches, with a look at Python's signals between them.
+fn run_batches<'py>(
+    py: Python<'py>,
+    members: std::ops::Range<u64>,
+    threads: usize,
+    (keep, times): (u64, usize),
+    follow: impl Fn(std::ops::Range<u64>) -> Vec<Member> + Sync,
+) -> PyResult<Outcome<'py>> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+    let count = members.end - members.start;
+    let kept = keep.saturating_sub(members.start).min(count) as usize;
+    let mut size = BATCH * threads as u64;
+    let mut followed: Vec<Member> = Vec::with_capacity(count as usize);
+    let mut at = members.start;
+    while at < members.end {
+        let batch = at..(at + size).min(members.end);
+        at = batch.end;
+        let began = Instant::now();
+        followed.extend(py.detach(|| pool.install(|| follow(batch))));
+        py.check_signals()?;
+        if began.elapsed() < SIGNALS_LOOKED_FOR {
+            size *= 2;
+        }
+    }
+    let nowhere = Vec2::repeat(f64::NAN);
+    let status: Vec<i8> = followed.iter().map(|member| member.status as i8).collect();
+    let (stranding_times, places): (Vec<f64>, Vec<Vec2>) =
+        followed.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
+    let mut positions = Vec::with_capacity(kept * times);
+    for member in &followed[..kept] {
+        positions.extend(&member.positions);
+        positions.resize(positions.len() + times - member.positions.len(), nowhere);
+    }
+    let failure =
+        followed.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
+    Ok((
+        status.into_pyarray(py),
+        stranding_times.into_pyarray(py),
+        columns(py, &places)?,
+        layers(py, [kept, times], &positions)?,
+        failure,
+    ))
+}
+
+fn trajectory_arrays(py: Python<'_>, out: Trajectory) -> PyResult<Followed<'_>> {
+    let (mean_position, mean_velocity): (Vec<_>, Vec<_>) = out.mean.into_iter().unzip();
+    let arrays = [
+        columns(py, &out.position)?,
+        columns(py, &out.velocity)?,
+        columns(py, &mean_position)?,
+        columns(py, &mean_velocity)?,
+    ];
+    Ok((arrays, [out.work.accepted, out.work.rejected, out.work.evaluations]))
 }
 
 /// Winds of an ensemble, as Python hands them over.
@@ -558,6 +705,26 @@ enum GivenWinds {
     Drawn(Py<WindGenerator>, u64),
     Paths(Vec<Py<WindPath>>),
     InMemory(Py<WindPaths>),
+}
+
+impl GivenWinds {
+    /// The paths, where they are given one by one.
+    fn paths(&self) -> Vec<&CorePath> {
+        match self {
+            Self::Paths(paths) => paths.iter().map(|path| &path.get().0).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    fn core<'a>(&'a self, paths: &'a [&'a CorePath]) -> Winds<'a> {
+        match self {
+            Self::Drawn(generator, seed) => {
+                Winds::Drawn { generator: &generator.get().0, seed: *seed }
+            }
+            Self::Paths(_) => Winds::Given(paths),
+            Self::InMemory(paths) => Winds::InMemory(&paths.get().0),
+        }
+    }
 }
 
 /// Position, velocity, slow position and velocity; steps accepted, rejected, and evaluations.
@@ -576,7 +743,9 @@ type Outcome<'py> = (
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::{Bootstrap, Coast, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths};
+    use super::{
+        Bootstrap, Coast, Fleet, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths,
+    };
 
     #[pymodule_export]
     const VERSION: &str = env!("CARGO_PKG_VERSION");
