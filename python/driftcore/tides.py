@@ -276,7 +276,7 @@ class TidalAtlas:
             _neighbours(name, self.dataset[name].values, values, method)
             for name, values in (
                 ("latitude", np.asarray(latitude, dtype=float)),
-                ("longitude", _eastward(np.asarray(longitude, dtype=float), self.longitude)),
+                ("longitude", _turned(np.asarray(longitude, dtype=float), self.longitude)),
             )
         )
         shape = np.broadcast_shapes(moments.shape, rows[0][0].shape, columns[0][0].shape)
@@ -333,8 +333,10 @@ class TidalAtlas:
         return scales
 
     def __repr__(self) -> str:
-        maximum = self.scales()["maximum"].to_series()
+        maximum = self.scales()["maximum"].to_series().nlargest(4)
         currents = ", ".join(f"{name} {speed:.2g} m/s" for name, speed in maximum.items())
+        if others := len(self.constituents) - len(maximum):
+            currents += f", {others} more"
         south, north = self.latitude[[0, -1]]
         west, east = self.longitude[[0, -1]]
         return (
@@ -397,10 +399,10 @@ def _checked_axis(name: str, values: NDArray[Any], tolerance: float = 1e-6) -> N
         )
 
 
-def _eastward(values: Float, axis: Float) -> Float:
-    """Longitudes, from the first of an axis (up to rounding) up to 360° more."""
-    west = axis[0] - 1e-9
-    return np.asarray(west + np.mod(values - west, 360))
+def _turned(values: Float, axis: Float) -> Float:
+    """Longitudes, each by the turns that bring it nearest to the middle of an axis."""
+    start = (axis[0] + axis[-1]) / 2 - 180
+    return np.asarray(start + np.mod(values - start, 360))
 
 
 def _neighbours(
@@ -604,6 +606,7 @@ class _Reader:
         self.phase_units = phase_units
         self.wanted = wanted
         self.found: dict[str, dict[str, xr.DataArray]] = {"u": {}, "v": {}}
+        self.held: set[str] = set()
         self.long_periods: set[str] = set()
         self.transport = False
 
@@ -617,6 +620,8 @@ class _Reader:
                 self._by_constituent(label, name, dataset, self._cut(label, dataset, v, component))
                 for v in variables[1]
             ]
+            if not fields[0].size:  # nothing that is wanted
+                continue
             factor = self._velocity_factor(label, dataset, variables[1][0])
             if variables[0] == "amplitude":
                 amplitude, phase = fields
@@ -637,6 +642,15 @@ class _Reader:
         """Give both components, (constituent, latitude, longitude), as far as they were found."""
         import xarray as xr
 
+        if absent := sorted(set(self.wanted or ()) - self.held) if self.held else []:
+            raise ScenarioError(
+                f"constituents: {listed(absent)} not in the atlas; it has "
+                f"{listed(sorted(self.held))}"
+            )
+        if self.held and self.held == self.long_periods:
+            raise RecordError(
+                f"source: has none but constituents of long period: {listed(sorted(self.held))}"
+            )
         u, v = (self.found[component] for component in "uv")
         for name, one, other in (("u", u, v), ("v", v, u)):
             if not one:
@@ -647,10 +661,6 @@ class _Reader:
             if missing := sorted(set(other) - set(one)):
                 raise RecordError(f"source: {name} of {listed(missing)} is not found")
         chosen = self.wanted or list(u)
-        if absent := sorted(set(chosen) - set(u)):
-            raise ScenarioError(
-                f"constituents: {listed(absent)} not in the atlas; it has {listed(sorted(u))}"
-            )
         try:
             return tuple(  # type: ignore[return-value]
                 xr.concat([part[one] for one in chosen], "constituent", join="exact").assign_coords(
@@ -788,9 +798,9 @@ class _Reader:
         along = [dim for dim in extra if any(dim in one.dims[:1] for one in labels)]
         along = along or [dim for dim in extra if field.sizes[dim] > 1 or dim in dataset.coords]
         held: list[str | None]
-        if len(along) > 1:
+        if len(along) > 1 or any(field.sizes[dim] > 1 for dim in extra if dim not in along):
             raise RecordError(
-                f"{label}: {field.name!r} has the dimensions {along} besides latitude and "
+                f"{label}: {field.name!r} has the dimensions {extra} besides latitude and "
                 "longitude; select one value of all but the constituents"
             )
         if along:
@@ -811,6 +821,7 @@ class _Reader:
         except ValueError:
             _checked_constituents(names)  # says which is not known
             raise
+        self.held |= set(names)
         self.long_periods |= {n for n, s in zip(names, species, strict=True) if s == 0}
         chosen = [
             k
@@ -1134,10 +1145,10 @@ def _told_apart(times: Times, asked: list[str] | None, minimum_rayleigh: float) 
                 f"{minimum_rayleigh:g}), leave one out"
             )
     del chosen["mean"]
-    if not chosen:
+    if asked is None and "M2" not in chosen:
         raise ScenarioError(
-            f"dataset: {length / 3600:.3g} h with steps of {step / 3600:.3g} h tell no constituent "
-            "apart; M2 takes 12.4 h"
+            f"dataset: {length / 3600:.3g} h with steps of {step / 3600:.3g} h do not tell M2 "
+            "(12.4 h) from the mean; use a longer record, or name the constituents"
         )
     return list(chosen)
 
@@ -1149,9 +1160,9 @@ def _least_squares(design: Float, values: Complex) -> tuple[Complex, Float]:
     matrix of the whole record. NaN where the rows left do not determine the coefficients.
     """
     good = np.isfinite(values)
-    right: Complex = design.T @ np.where(good, values, 0)
+    right = design.T @ np.where(good, values, 0)
     whole = design.T @ design
-    coefficients: Complex = np.full_like(right, np.nan)
+    coefficients: Complex = np.full(right.shape, complex(np.nan, np.nan))
     diagonal: Float = np.full(right.shape, np.nan)
     _, pattern = np.unique(np.packbits(good, axis=0), axis=1, return_inverse=True)
     order = np.argsort(pattern.ravel(), kind="stable")
