@@ -1,6 +1,7 @@
 """Tides: convention, atlases from files, fits to a current, analytic waves."""
 
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,14 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import utide
 import xarray as xr
 from numpy.typing import NDArray
 
 from driftcore import tides
-from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError
+from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
 from driftcore.tides import TidalAtlas
-
-utide = pytest.importorskip("utide")
 
 START = np.datetime64("2026-03-01", "s")
 NAMES = ["M2", "S2", "N2", "K1", "O1", "M4"]
@@ -246,6 +246,12 @@ def test_a_bad_atlas_is_refused() -> None:
         atlas.constituents_at(START, np.datetime64("NaT"))
 
 
+def test_without_pytmd_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyTMD", None)
+    with pytest.raises(DriftCoreError, match=r'pip install "driftcore\[geo\]"'):
+        tides.biscay()
+
+
 def test_names_are_standard() -> None:
     renamed = random_atlas(["M2", "LAMBDA2"]).dataset.assign_coords(constituent=["m2 ", "LDA2"])
     assert TidalAtlas(renamed).constituents == ("M2", "LAMBDA2")
@@ -320,7 +326,8 @@ def test_fes_files_of_one_constituent_and_component(tmp_path: Path) -> None:
 def test_one_file_with_packed_integers_and_descending_latitude(tmp_path: Path) -> None:
     """As a product on a server: CF attributes alone tell which variable is what."""
     atlas = land(random_atlas())
-    dataset = polar(atlas).isel(latitude=slice(None, None, -1))
+    backward = slice(None, None, -1)
+    dataset = polar(atlas).isel(latitude=backward, longitude=backward)
     words = {"u": "eastward_sea_water_velocity", "v": "northward_sea_water_velocity"}
     encoding, renamed = {}, {}
     for k, name in enumerate(dataset):
@@ -355,6 +362,25 @@ def test_tpxo_file_of_real_and_imaginary_parts(tmp_path: Path) -> None:
     assert_same(tides.from_atlas(tmp_path / "u_tpxo.nc"), atlas)
 
 
+def test_tpxo_files_of_one_constituent_each(tmp_path: Path) -> None:
+    """As the TPXO atlas: real and imaginary parts as integers, the name inside the file."""
+    atlas = random_atlas(["M2", "O1"])
+    paths = []
+    for number, name in enumerate(atlas.constituents):
+        one = atlas.dataset.sel(constituent=name, drop=True).transpose("longitude", "latitude")
+        parts = {
+            f"{n}{p}": getattr(one[n], q) for n in "uv" for p, q in (("Re", "real"), ("Im", "imag"))
+        }
+        file = xr.Dataset(parts).rename(latitude="lat", longitude="lon")
+        file["con"] = ("nct", np.array(list(name.lower().ljust(4)), dtype="S1"))
+        for part in parts:
+            file[part].attrs["units"] = "m/s"
+        paths.append(tmp_path / f"file{number}.nc")
+        packed = {"dtype": "i4", "scale_factor": 1e-6, "_FillValue": 2**31 - 1}
+        file.to_netcdf(paths[-1], encoding=dict.fromkeys(parts, packed))
+    assert_same(tides.from_atlas(paths), atlas, tolerance=1e-6)
+
+
 def test_transports_on_a_staggered_grid_take_a_depth() -> None:
     """Fields linear in the place: the mean of the two faces of a cell is the value between."""
     axis = np.arange(10.0, 16)
@@ -382,6 +408,8 @@ def test_transports_on_a_staggered_grid_take_a_depth() -> None:
         tides.from_atlas(dataset)
     depth = xr.DataArray(20 + 0 * north, {"lat": axis, "lon": axis}, ("lat", "lon"))
     depth[0, 0] = 0
+    with pytest.raises(ScenarioError, match="depth: dimensions"):
+        tides.from_atlas(dataset, depth=depth.expand_dims(layer=2))
     atlas = tides.from_atlas(dataset, depth=depth)
     assert atlas.longitude.tolist() == [10, 11, 12, 13, 14]
     assert atlas.latitude.tolist() == [10, 11, 12, 13, 14]
@@ -446,7 +474,14 @@ def test_a_bad_atlas_file_is_refused(tmp_path: Path) -> None:
         lat=(("y", "x"), np.add.outer(np.arange(4.0), 0.1 * np.arange(5)) + 40),
         lon=(("y", "x"), np.add.outer(np.zeros(4), np.arange(5.0))),
     )
+    track = good.isel(constituent=0, longitude=[0, 1, 2, 3], drop=True)
+    track = track.isel(
+        latitude=xr.DataArray(range(4), dims="p"), longitude=xr.DataArray(range(4), dims="p")
+    )
+    slow = good.isel(constituent=[0, 1]).assign_coords(constituent=["Mf", "SSA"])
     cases: dict[str, Any] = {
+        "both run along 'p'": {"M2": track},
+        "none but constituents of long period: 'MF', 'SSA'": slow,
         "no phase for u": good.drop_vars("u_phase"),
         "u is not found": good.drop_vars(["u_amplitude", "u_phase"]),
         "no tide runs faster": fast,
@@ -477,6 +512,10 @@ def test_a_bad_atlas_file_is_refused(tmp_path: Path) -> None:
     for message, source in cases.items():
         with pytest.raises(RecordError, match=message):
             tides.from_atlas(source)
+    with pytest.raises(RecordError, match="u is not found"):
+        tides.from_atlas(good, {"u_amplitude": "absent", "u_phase": "u_phase2"})
+    with pytest.raises(ScenarioError, match="constituents: none"):
+        tides.from_atlas(good, constituents=[])
     with pytest.raises(ScenarioError, match="'u_angle' is not accepted"):
         tides.from_atlas(good, {"u_angle": "u_phase"})
     with pytest.raises(ScenarioError, match="'XX9' is not known"):

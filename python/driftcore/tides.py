@@ -61,6 +61,7 @@ _RANKED = (
 _LEAST_EIGENVALUE = 0.01
 # The strongest tidal currents of the world's straits run at about 10 m/s.
 _FASTEST = 15.0
+_PLACES_AT_ONCE = 512  # bounds the memory of a fit
 _EARTH_RADIUS = 6.371e6  # m
 _EARTH_ROTATION = 7.292e-5  # rad/s
 _GRAVITY = 9.81  # m/s²
@@ -124,6 +125,14 @@ def _checked_times(name: str, times: ArrayLike) -> Times:
     return values
 
 
+def _refuse_unknown(names: Iterable[str]) -> None:
+    for name in names:
+        if not _known(name):
+            raise ScenarioError(
+                f"constituents: {name!r} is not known; use names such as {listed(_RANKED[:5])}"
+            )
+
+
 def _checked_constituents(names: Iterable[object]) -> list[str]:
     """Give the standard names of the constituents, none twice, unknown or of long period."""
     found = [_standard_name(name) for name in names]
@@ -132,10 +141,7 @@ def _checked_constituents(names: Iterable[object]) -> list[str]:
     for name in found:
         if found.count(name) > 1:
             raise ScenarioError(f"constituents: {name!r} occurs twice; give each once")
-        if not _known(name):
-            raise ScenarioError(
-                f"constituents: {name!r} is not known; use names such as {listed(_RANKED[:5])}"
-            )
+    _refuse_unknown(found)
     for name, species in zip(found, _species(found), strict=True):
         if species == 0:
             raise ScenarioError(
@@ -287,7 +293,8 @@ class TidalAtlas:
             for column, column_weight in columns:
                 weight = row_weight * column_weight
                 for component, c in enumerate((u, v)):
-                    value = (np.moveaxis(c, 0, -1)[row, column] * phasors).real.sum(axis=-1)
+                    amplitudes = np.moveaxis(c, 0, -1)[row, column]
+                    value = np.einsum("...k,...k->...", amplitudes, phasors).real
                     # A grid point that does not count may be on land.
                     current[..., component] += np.where(weight > 0, weight * value, 0)
         return current
@@ -816,11 +823,8 @@ class _Reader:
                 '{"M2": file, "S2": [eastward file, northward file]}'
             )
         names = [str(one) for one in held]
-        try:
-            species = _species(names)
-        except ValueError:
-            _checked_constituents(names)  # says which is not known
-            raise
+        _refuse_unknown(names)
+        species = _species(names)
         self.held |= set(names)
         self.long_periods |= {n for n, s in zip(names, species, strict=True) if s == 0}
         chosen = [
@@ -1032,54 +1036,77 @@ def fit(
     trend = (hours - hours.mean()) / (np.ptp(hours) / 2)
     design = np.column_stack([np.ones_like(trend), trend, phasors.real, -phasors.imag])
     shape = current["u"].shape[1:]
-    # Both components at once: the equations are real, so u and v are a real and imaginary part.
-    values = (current["u"].values + 1j * current["v"].values).reshape(len(times), -1)
-    fitted, inverse_diagonal = _least_squares(design, values)
+    u, v = (current[name].values.reshape(len(times), -1) for name in "uv")
+    places = u.shape[1]
+    fitted: Complex = np.empty((design.shape[1], places), complex)
+    errors, explained = np.empty((2, len(names), places)), np.empty(places)
+    left_out = 0
+    for first in range(0, places, _PLACES_AT_ONCE):
+        block = slice(first, first + _PLACES_AT_ONCE)
+        # Both components at once: the equations are real, so u and v are a real and imaginary part.
+        values = u[:, block] + 1j * v[:, block]
+        fitted[:, block], inverse = _least_squares(design, values)
+        count = np.isfinite(values).sum(axis=0)
+        left_out += int(((count > 0) & np.isnan(fitted[0, block])).sum())
+        freedom = np.maximum(count - design.shape[1], 1)
+        misfit = values - design @ fitted[:, block]
+        # Of a cosine and a sine amplitude, the root mean square.
+        inverse = (inverse[2:].reshape(2, len(names), -1)).mean(axis=0)
+        for component, part in enumerate((misfit.real, misfit.imag)):
+            variance = np.nansum(part**2, axis=0) / freedom
+            errors[component, :, block] = np.sqrt(inverse * variance)
+        residual = values - design[:, 2:] @ fitted[2:, block]
+        with np.errstate(invalid="ignore"):  # a current at rest has no variance to share
+            explained[block] = 1 - _variance(residual, count) / _variance(values, count)
+        explained[block][np.isnan(fitted[0, block])] = np.nan
+        u[:, block], v[:, block] = residual.real, residual.imag
+    if np.isnan(fitted).all():
+        raise RecordError(
+            f"dataset: no place has values enough for {len(fitted)} coefficients; ask for fewer "
+            "constituents"
+        )
+    if left_out:
+        warnings.warn(
+            f"{left_out} places with too few values, or gaps that hide a constituent, are left out",
+            DriftCoreWarning,
+            stacklevel=2,
+        )
 
-    count = np.isfinite(values).sum(axis=0)
-    misfit = values - design @ fitted
-    freedom = np.maximum(count - design.shape[1], 1)
-    variance = {
-        name: np.nansum(part**2, axis=0) / freedom
-        for name, part in (("u", misfit.real), ("v", misfit.imag))
-    }
-    residual = values - design[:, 2:] @ fitted[2:]
-    cosine, sine = np.split(fitted[2:], 2)
-    error = np.split(inverse_diagonal[2:], 2)
-    coordinates = {"constituent": names, **{n: current[n] for n in ("latitude", "longitude")}}
+    axes = {name: current[name] for name in ("latitude", "longitude")}
 
     def by_constituent(u: NDArray[Any], v: NDArray[Any]) -> xr.Dataset:
         grids = {"u": u.reshape(-1, *shape), "v": v.reshape(-1, *shape)}
-        return xr.Dataset({name: (_DIMS, grid) for name, grid in grids.items()}, coordinates)
-
-    def spread(part: Complex) -> Float:
-        return np.asarray(
-            np.nansum(abs(part - np.nansum(part, axis=0) / np.maximum(count, 1)) ** 2, axis=0)
+        return xr.Dataset(
+            {name: (_DIMS, grid, {"units": "m s-1"}) for name, grid in grids.items()},
+            {"constituent": names, **axes},
         )
 
-    with np.errstate(invalid="ignore"):  # a current at rest has no variance to share
-        explained = np.where(np.isnan(fitted[0]), np.nan, 1 - spread(residual) / spread(values))
-    mean_error = np.sqrt((error[0] + error[1]) / 2)
-    detided = current.copy(
-        data={"u": residual.real.reshape(-1, *shape), "v": residual.imag.reshape(-1, *shape)}
-    )
-    standard_error = by_constituent(*(mean_error * np.sqrt(variance[name]) for name in "uv"))
-    for part in (*detided.values(), *standard_error.values()):
-        part.attrs["units"] = "m s-1"
+    cosine, sine = np.split(fitted[2:], 2)
     return TidalFit(
-        TidalAtlas(
-            by_constituent(cosine.real + 1j * sine.real, cosine.imag + 1j * sine.imag),
+        TidalAtlas(by_constituent(cosine.real + 1j * sine.real, cosine.imag + 1j * sine.imag)),
+        xr.Dataset(
+            {
+                name: (current[name].dims, part.reshape(current[name].shape), {"units": "m s-1"})
+                for name, part in (("u", u), ("v", v))
+            },
+            current.coords,
         ),
-        detided,
-        standard_error,
+        by_constituent(*errors),
         xr.DataArray(
             explained.reshape(shape),
-            {name: current[name] for name in ("latitude", "longitude")},
+            axes,
             ("latitude", "longitude"),
             name="explained",
             attrs={"units": "1", "long_name": "share of the variance that the tide makes"},
         ),
     )
+
+
+def _variance(values: Complex, count: NDArray[np.int64]) -> Float:
+    """Variance over time of both components together, missing values aside."""
+    count = np.maximum(count, 1)
+    mean = np.nansum(values, axis=0) / count
+    return np.asarray(np.nansum(abs(values - mean) ** 2, axis=0) / count)
 
 
 def _checked_current(dataset: xr.Dataset) -> xr.Dataset:
@@ -1105,7 +1132,8 @@ def _checked_current(dataset: xr.Dataset) -> xr.Dataset:
                 f"{name}: units {dataset[name].attrs['units']!r} are not accepted; use "
                 f"{listed(_VELOCITIES)}"
             )
-        current[name] = current[name].transpose(*dims).astype(float) * _VELOCITIES[unit]
+        values = np.array(current[name].transpose(*dims).values, dtype=float, order="C")
+        current[name] = dims, _VELOCITIES[unit] * values
         if np.isinf(current[name]).any():
             raise RecordError(f"{name}: holds infinite values; missing values are NaN")
     try:
@@ -1166,7 +1194,6 @@ def _least_squares(design: Float, values: Complex) -> tuple[Complex, Float]:
     diagonal: Float = np.full(right.shape, np.nan)
     _, pattern = np.unique(np.packbits(good, axis=0), axis=1, return_inverse=True)
     order = np.argsort(pattern.ravel(), kind="stable")
-    left_out = 0
     for places in np.split(order, np.flatnonzero(np.diff(pattern.ravel()[order])) + 1):
         there = good[:, places[0]]
         count = int(there.sum())
@@ -1175,22 +1202,10 @@ def _least_squares(design: Float, values: Complex) -> tuple[Complex, Float]:
         else:
             normal = design[there].T @ design[there]
         if count <= design.shape[1] or np.linalg.eigvalsh(normal / count)[0] < _LEAST_EIGENVALUE:
-            left_out += len(places) * (count > 0)
             continue
         inverse = np.linalg.inv(normal)
         coefficients[:, places] = inverse @ right[:, places]
         diagonal[:, places] = np.diag(inverse)[:, None]
-    if np.isnan(coefficients).all():
-        raise RecordError(
-            f"dataset: no place has values enough for {design.shape[1]} coefficients; ask for "
-            "fewer constituents"
-        )
-    if left_out:
-        warnings.warn(
-            f"{left_out} places with too few values, or gaps that hide a constituent, are left out",
-            DriftCoreWarning,
-            stacklevel=3,
-        )
     return coefficients, diagonal
 
 
@@ -1428,9 +1443,9 @@ def biscay(step: float = 0.125) -> TidalAtlas:
     and phases for examples and trials: do not forecast a real drift with it. A Kelvin wave of the
     deep ocean runs northward along a smooth coast (roughly the French one) over a shelf (roughly
     its own: 60 km wide in the south, 200 km in the north, 110 m deep), and the shelf is filled and
-    emptied from the ocean. Depth-mean currents of M2 are a few cm/s in the deep ocean, 0.1–0.3
-    m/s on the outer shelf, as Le Cann (1990) measured and computed; levels at Belle-Île are 1.60 m
-    (M2), 0.59 m (S2) and 0.33 m (N2), as a hindcast forced by a tide atlas has them. The field is
+    emptied from the ocean, which sets its currents (Clarke & Battisti 1981; for this shelf Le Cann
+    1990). Those of M2 are 5–8 cm/s in the deep ocean and 0.1–0.24 m/s on the outer shelf; levels
+    at Belle-Île are 1.60 m (M2), 0.59 m (S2) and 0.33 m (N2), from a hindcast. The field is
     smooth and goes on over the land, so that any coast can be laid over it. Neither the Spanish
     coast nor the Channel is in it.
 
