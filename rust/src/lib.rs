@@ -18,7 +18,9 @@
 //! | [`model`] | the full system, the paper's averaged system, the mean-flow expansion |
 //! | [`coast`] | first crossing of a trajectory with a coast |
 //! | [`lanes`] | numbers of several members side by side, for vector instructions |
+//! | [`logbook`] | what is written down of one member |
 //! | [`ensemble`] | members followed in parallel |
+//! | [`statistics`] | maps counted meanwhile |
 
 pub mod coast;
 pub mod dopri5;
@@ -26,7 +28,9 @@ pub mod ensemble;
 pub mod error;
 pub mod field;
 pub mod lanes;
+pub mod logbook;
 pub mod model;
 #[cfg(feature = "python")]
 mod python;
+pub mod statistics;
 pub mod wind;
