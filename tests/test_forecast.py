@@ -114,6 +114,14 @@ def test_positions_are_kept_eight_times_a_tide_or_when_asked(
     )
 
 
+@pytest.mark.parametrize("model", ["full", "mean-flow"])
+def test_the_end_of_the_run_is_kept(model: Any, embedded_wind: dc.LocalGridBootstrap) -> None:
+    """Also where the steps add up to less than the run by rounding: 49 times 1/49."""
+    scenario = dc.paper.scenario(epsilon=1 / 49, coast=None)
+    fc = forecast(scenario, embedded_wind, members=17, model=model, times=[1.0])
+    assert np.isfinite(values(fc, "position")).all()
+
+
 def test_kept_winds_are_those_of_the_bootstrap(
     ensemble: Forecast, embedded_wind: dc.LocalGridBootstrap
 ) -> None:

@@ -26,6 +26,7 @@ from driftcore.forecast import (
     run,
     trajectory,
 )
+from driftcore.maps import MapGrid
 from driftcore.record import WindRecord, read_record
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
@@ -42,6 +43,7 @@ __all__ = [
     "Forecast",
     "HarmonicSea",
     "LocalGridBootstrap",
+    "MapGrid",
     "OutputError",
     "Polygons",
     "Probability",

@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -7,7 +8,8 @@ VERSION: str
 
 _Floats = NDArray[np.float64]
 _Integers = NDArray[np.int64]
-_Outcome = tuple[NDArray[np.int8], _Floats, _Floats, _Floats, str | None]
+_Counts = NDArray[np.uint32]
+_Fates = tuple[NDArray[np.int8], _Floats, _Floats, _Floats, _Floats]
 _Current = tuple[tuple[float, float, float, float, int], _Floats]
 
 @final
@@ -101,6 +103,18 @@ class Coast:
     def clearance(self, x: float, y: float) -> float: ...
 
 @final
+class Maps:
+    def __new__(
+        cls,
+        x: tuple[float, float, int],
+        y: tuple[float, float, int],
+        times: _Floats,
+        samples: _Floats,
+        threads: int,
+    ) -> Maps: ...
+    def counts(self) -> tuple[_Counts, _Counts, _Counts, _Counts]: ...
+
+@final
 class Solver:
     @staticmethod
     def full(general: bool, rtol: float, atol: float, euler_step: float | None) -> Solver: ...
@@ -134,12 +148,14 @@ class Scenario:
         winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
         solver: Solver,
         first: int,
-        count: int,
         times: _Floats,
         keep: int,
+        into: _Fates,
         threads: int,
+        targets: Sequence[Coast],
         steps_per_tide: float | None = None,
-    ) -> _Outcome: ...
+        maps: Maps | None = None,
+    ) -> str | None: ...
 
 @final
 class Fleet:
@@ -163,8 +179,10 @@ class Fleet:
         winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
         solver: Solver,
         first: int,
-        count: int,
         times: _Floats,
         keep: int,
+        into: _Fates,
         threads: int,
-    ) -> _Outcome: ...
+        targets: Sequence[Coast],
+        maps: Maps | None = None,
+    ) -> str | None: ...

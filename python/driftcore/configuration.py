@@ -101,14 +101,17 @@ class Configuration(BaseModel):
 
 def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> None:
     """Plain values first, then the sub-tables, as TOML needs."""
-    nested = []
+    nested: list[tuple[str, Configuration | dict[str, Any] | None, str | None]] = []
     for name, field in type(configuration).model_fields.items():
         value = getattr(configuration, name)
         comment = field.description
-        if isinstance(value, Configuration):
+        if isinstance(value, Configuration) or (isinstance(value, dict) and value):
             nested.append((name, value, comment))
             continue
-        if value is None and field.default is None:
+        if value == field.default and value in (None, {}):
+            if nested:  # what is absent here is a table too
+                nested.append((name, None, comment))
+                continue
             table.add(tomlkit.comment(f"{name} =   # {comment}"))
             continue
         try:
@@ -120,12 +123,29 @@ def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> 
             item.comment(comment)
         table.add(name, item)
     for name, value, comment in nested:
-        inner = tomlkit.table()
-        if comment:
-            inner.comment(comment)
+        if value is None:
+            table.add(tomlkit.nl())
+            table.add(tomlkit.comment(f"[{name}]   # {comment}"))
+            continue
+        _add(table, name, value, comment)
+
+
+def _add(
+    table: tomlkit.TOMLDocument | Table,
+    name: str,
+    value: Configuration | dict[str, Configuration],
+    comment: str | None,
+) -> None:
+    inner = tomlkit.table()
+    if comment:
+        inner.comment(comment)
+    if isinstance(value, Configuration):
         _fill(inner, value)
-        table.add(tomlkit.nl())
-        table.add(name, inner)
+    else:
+        for key, part in value.items():
+            _add(inner, key, part, None)
+    table.add(tomlkit.nl())
+    table.add(name, inner)
 
 
 def _plain(value: Any) -> Any:

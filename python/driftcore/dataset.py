@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,13 @@ import numpy as np
 
 from driftcore.errors import OutputError
 from driftcore.files import replacing
+from driftcore.statistics import standard_error
 
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
+    from driftcore.maps import MapGrid
     from driftcore.scenario import Scenario
 
 STATUSES = ("afloat", "stranded", "left_domain", "failed")
@@ -123,6 +126,88 @@ def forecast_dataset(
     if dim != "member":
         coordinates[dim] = (dim, np.arange(kept), {"long_name": "member whose path was kept"})
     return xr.Dataset(variables, coordinates, {**scenario_attributes(scenario), **attributes})
+
+
+def with_maps(
+    dataset: xr.Dataset, grid: MapGrid, counts: Iterable[NDArray[np.uint32]], followed: int
+) -> xr.Dataset:
+    """Add maps: numbers of members, flat, as the core counts them, among those followed."""
+    times, rows, columns = grid.shape
+    cells = ("y", "x")
+    present, arrived, outside, stranded = counts
+    present = present.reshape(times, rows, columns)
+    # The last interval follows the last map.
+    arrived = arrived.reshape(times + 1, rows, columns)
+    visited = arrived.sum(axis=0)
+
+    def share(count: NDArray[Any]) -> NDArray[np.float64]:
+        return count / followed if followed else np.full(count.shape, np.nan)
+
+    def variable(dims: tuple[str, ...], values: Any, name: str, method: str | None = None) -> Any:
+        dims, values, attributes = _variable(dims, values, name)
+        return (
+            dims,
+            values,
+            attributes | ({"cell_methods": f"map_time: {method}"} if method else {}),
+        )
+
+    def error(count: NDArray[Any]) -> NDArray[np.float64]:
+        return standard_error(count, followed) if followed else share(count)
+
+    half_width = "half-width of its Wilson interval at one standard deviation"
+    variables = {
+        "presence": variable(
+            ("map_time", *cells), share(present), "probability of being afloat in the cell", "point"
+        ),
+        "presence_standard_error": variable(
+            ("map_time", *cells), error(present), f"presence: {half_width}", "point"
+        ),
+        "arrival": variable(
+            ("map_time", *cells),
+            share(arrived[:-1]),
+            "probability of entering the cell for the first time within the interval",
+            "sum",
+        ),
+        "visit": variable(
+            cells,
+            share(visited),
+            "probability of entering the cell within the run, or starting there",
+        ),
+        "visit_standard_error": variable(cells, error(visited), f"visit: {half_width}"),
+        "outside": variable(
+            ("map_time",), share(outside), "probability of being afloat beyond the maps", "point"
+        ),
+        "ashore": variable(
+            ("map_time",), share(stranded), "probability of having stranded", "point"
+        ),
+    }
+    coordinates: dict[str, Any] = {}
+    for name, edges in (("x", grid.x), ("y", grid.y)):
+        lines = np.linspace(edges[0], edges[-1], len(edges))
+        about = {
+            "long_name": f"{name} of the centre of the cell",
+            "units": "1",
+            "axis": name.upper(),
+            "bounds": f"{name}_bounds",
+        }
+        coordinates[name] = (name, (lines[:-1] + lines[1:]) / 2, about)
+        coordinates[f"{name}_bounds"] = ((name, "bound"), np.stack([lines[:-1], lines[1:]], axis=1))
+    instants = np.array(grid.times)
+    about = {**_TIME, "long_name": "time of the map", "bounds": "map_time_bounds"}
+    coordinates["map_time"] = ("map_time", instants, about)
+    coordinates["map_time_bounds"] = (
+        ("map_time", "bound"),
+        np.stack([np.append(0.0, instants[:-1]), instants], axis=1),
+    )
+    return dataset.assign(variables).assign_coords(coordinates)
+
+
+def with_targets(
+    dataset: xr.Dataset, names: list[str], entry_time: NDArray[np.float64]
+) -> xr.Dataset:
+    """Add the time of the first entry of each target: shape (member, target), NaN where never."""
+    entered = _variable(("member", "target"), entry_time, "time of first being in the target")
+    return dataset.assign(entry_time=entered).assign_coords(target=names)
 
 
 def provenance(command: str) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,14 +21,18 @@ from driftcore.dataset import (
     provenance,
     read_netcdf,
     trajectory_dataset,
+    with_maps,
+    with_targets,
     write_netcdf,
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
+from driftcore.maps import MapGrid
 from driftcore.record import WindRecord
 from driftcore.scenario import (
     Circle,
     EnsembleConfiguration,
     ModelName,
+    Polygons,
     RunConfiguration,
     Scenario,
     WindConfiguration,
@@ -147,6 +151,8 @@ def forecast(
     seed: int = 1,
     keep: int = 1000,
     times: ArrayLike | None = None,
+    maps: MapGrid | None = None,
+    targets: Mapping[str, ArrayLike | Polygons] | None = None,
     window: float | None = None,
     wind_terms: bool = True,
     rtol: float = 1e-6,
@@ -182,6 +188,11 @@ def forecast(
         How many members' trajectories are kept, from the first on.
     times : array_like of shape (n,), optional
         Times at which they are kept; default eight per tide.
+    maps : MapGrid, optional
+        Count the members on maps while they are followed.
+    targets : mapping of str to array_like of shape (n, 2) or Polygons, optional
+        Areas by name, each a ring of points: the time of each member's first entry is noted.
+        Entering stops nobody; a member released inside enters at 0.
     threads : int, optional
         Threads; default all processors.
     chunk : int, optional
@@ -239,30 +250,57 @@ def forecast(
     chunk = _count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
     keep = min(keep, members)
     compiled = _compiled(scenario)
+    shapes: Any = targets or {}  # of which the configuration makes polygons
+    configuration = RunConfiguration(
+        scenario=scenario,
+        wind=winds.configuration(),
+        ensemble=settings,
+        maps=maps,
+        targets=shapes,
+    )
+    areas = [_area(name, area) for name, area in configuration.targets.items()]
+    counted = None
+    if maps is not None:
+        regular = regular_times(scenario.duration, maps.interval or scenario.period / 8)
+        counted = maps.core(np.union1d(regular, maps.times), threads)
     winds.warn()
 
-    parts = []
+    status = np.zeros(members, dtype=np.int8)
+    stranding_time = np.full(members, np.nan)
+    stranding_position = np.full((members, 2), np.nan)
+    position = np.full((keep, len(instants), 2), np.nan)
+    entry_time = np.full((members, len(areas)), np.nan)
+    failure = None
     for first in range(0, members, chunk):
-        count = min(chunk, members - first)
+        last = min(first + chunk, members)
+        rows = slice(first, last)
         try:
-            parts.append(
-                compiled.run(
-                    winds.core, solver, first, count, instants, keep, threads, steps_per_tide
-                )
+            failed = compiled.run(
+                winds.core,
+                solver,
+                first,
+                instants,
+                keep,
+                (
+                    status[rows],
+                    stranding_time[rows],
+                    stranding_position[rows],
+                    position[rows],
+                    entry_time[rows],
+                ),
+                threads,
+                areas,
+                steps_per_tide,
+                counted,
             )
         except ValueError as error:
             raise ScenarioError(str(error)) from None
+        failure = failure or failed
         if progress is not None:
-            progress(first + count, members)
-    status, stranding_time, stranding_position, position = (
-        np.concatenate([part[k] for part in parts]) for k in range(4)
-    )
-    _warn_of_failures(status, [part[4] for part in parts])
+            progress(last, members)
+    _warn_of_failures(status, failure)
 
     wind_times, kept_wind = winds.kept(keep, instants)
-    configuration = RunConfiguration(
-        scenario=scenario, wind=winds.configuration(), ensemble=settings
-    )
     dataset = forecast_dataset(
         scenario,
         status=status,
@@ -283,6 +321,11 @@ def forecast(
             **provenance(f"forecast of {members} members"),
         },
     )
+    if maps is not None and counted is not None:
+        followed = members - int((status == STATUSES.index("failed")).sum())
+        dataset = with_maps(dataset, maps, counted.counts(), followed)
+    if areas:
+        dataset = with_targets(dataset, list(configuration.targets), entry_time)
     return Forecast(dataset)
 
 
@@ -296,7 +339,9 @@ class Forecast:
         `status(member)`, `stranding_time(member)`, `stranding_position(member, component)`,
         `position(member, time, component)` and `wind_velocity(member, wind_time, component)` of
         the kept members (dimension `kept_member` where not all are kept). Its attributes hold the
-        configuration, version and seed, enough to run it again.
+        configuration, version and seed, enough to run it again. With maps: `presence`, `arrival`
+        (map_time, y, x), `visit(y, x)`, `outside` and `ashore(map_time)`; with targets:
+        `entry_time(member, target)`.
     """
 
     dataset: xr.Dataset
@@ -327,6 +372,34 @@ class Forecast:
             failed members do not count.
         """
         times = self.dataset["stranding_time"].values
+        limit = np.inf if by is None else by
+        return probability(int((times <= limit).sum()), self.followed)
+
+    def entry_probability(self, target: str, by: float | None = None) -> Probability:
+        """Probability of having entered a target by a time (default: the end of the run).
+
+        Parameters
+        ----------
+        target : str
+            Its name.
+        by : float, optional
+            Scenario time.
+
+        Returns
+        -------
+        Probability
+            As `stranding_probability`.
+
+        Raises
+        ------
+        ScenarioError
+            The forecast has no such target.
+        """
+        names = self.dataset["target"].values.tolist() if "target" in self.dataset else []
+        if target not in names:
+            known = f"one of {', '.join(names)}" if names else "the forecast was run without any"
+            raise ScenarioError(f"target: {target!r} is not accepted; {known}")
+        times = self.dataset["entry_time"].sel(target=target).values
         limit = np.inf if by is None else by
         return probability(int((times <= limit).sum()), self.followed)
 
@@ -447,6 +520,8 @@ def run(
         window=settings.window,
         wind_terms=settings.wind_terms,
         rtol=settings.rtol,
+        maps=configuration.maps,
+        targets=configuration.targets,
         threads=threads,
         progress=progress,
     )
@@ -601,6 +676,13 @@ def _compiled(scenario: Scenario) -> _core.Scenario:
             f"{-coast.clearance(x, y):.4g}; with side = {scenario.side!r} it must lie {wanted} it"
         )
     return compiled
+
+
+def _area(name: str, area: Polygons) -> _core.Coast:
+    try:
+        return _core.Coast.polygons([np.array(ring) for ring in area.rings], inside=False)
+    except ValueError as error:
+        raise ScenarioError(f"targets.{name}: {error}") from None
 
 
 def _solver(
@@ -784,10 +866,9 @@ def _default_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _warn_of_failures(status: NDArray[np.int8], messages: list[str | None]) -> None:
+def _warn_of_failures(status: NDArray[np.int8], first: str | None) -> None:
     failed = np.flatnonzero(status == STATUSES.index("failed"))
     if len(failed):
-        first = next(message for message in messages if message is not None)
         warnings.warn(
             f"{len(failed)} of {len(status)} members failed; member {failed[0]}: {first}",
             DriftCoreWarning,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from driftcore.configuration import NOTHING, Configuration
+from driftcore.errors import ScenarioError
+from driftcore.maps import MapGrid
 from driftcore.sea import AcademicSea, HarmonicSea, Pair
 
 ModelName = Literal["full", "paper", "mean-flow"]
@@ -200,6 +203,25 @@ class RunConfiguration(Configuration):
     scenario: Scenario = Field(default=Scenario())
     wind: WindConfiguration = Field(default=WindConfiguration())
     ensemble: EnsembleConfiguration = Field(default=EnsembleConfiguration())
+    maps: MapGrid | None = Field(
+        default=None, description="x, y, times, interval: maps of where members are and have been"
+    )
+    targets: dict[str, Polygons] = Field(
+        default={}, description="name = [[x, y], ...]: areas whose first entry is noted"
+    )
+
+    @field_validator("targets", mode="before")
+    @classmethod
+    def _targets_from_rings(cls, value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            raise ValueError(f"{value!r} is not accepted; it should be a table of name = ring")
+        return {str(name): _area(str(name), shape) for name, shape in value.items()}
+
+    @model_validator(mode="after")
+    def _maps_fit_the_run(self) -> RunConfiguration:
+        if self.maps is not None:
+            self.maps.check(self.scenario.duration, self.scenario.period)
+        return self
 
     @model_validator(mode="after")
     def _fits_memory(self) -> RunConfiguration:
@@ -213,3 +235,23 @@ class RunConfiguration(Configuration):
                 f"at most {_MOST_POSITIONS:.0e}"
             )
         return self
+
+
+def _area(name: str, shape: Any) -> Polygons:
+    """Polygons from a ring of points, from Polygons, or from a polygon of another library."""
+    if isinstance(shape, Polygons):
+        return shape
+    fields: Any = shape
+    geometry: Any = getattr(shape, "__geo_interface__", None)
+    if geometry is not None:
+        kind, parts = geometry["type"], geometry["coordinates"]
+        if kind not in ("Polygon", "MultiPolygon"):
+            raise ValueError(f"{name}: a {kind} is not accepted; give a polygon")
+        parts = [parts] if kind == "Polygon" else parts
+        fields = {"rings": [ring for rings in parts for ring in rings]}
+    elif not isinstance(shape, Mapping):
+        fields = {"rings": (shape,)}
+    try:
+        return Polygons(**fields)
+    except ScenarioError as error:
+        raise ScenarioError(f"{name}.{error}") from None

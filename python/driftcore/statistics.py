@@ -62,15 +62,29 @@ def wilson(
     low, high : ndarray of shape (...)
         Bounds, within [0, 1]. Source: Wilson (1927); docs/equations.md (25).
     """
-    z = NormalDist().inv_cdf(0.5 + level / 2)
     share = np.asarray(count, dtype=float) / members
-    spread = z**2 / members
-    center = (share + spread / 2) / (1 + spread)
-    half = np.sqrt(spread * (share * (1 - share) + spread / 4)) / (1 + spread)
+    center, half = _wilson(share, members, NormalDist().inv_cdf(0.5 + level / 2))
     # At 0 and at all the exact bounds are 0 and 1; rounding must not leave them.
     low = np.where(share == 0, 0.0, center - half)
     high = np.where(share == 1, 1.0, center + half)
     return low, high
+
+
+def standard_error(count: ArrayLike, members: int) -> NDArray[np.float64]:
+    """Half-width of the Wilson interval at one standard deviation, for `count` of `members`.
+
+    The binomial standard error for large counts; unlike that it is not 0 where the count is.
+    """
+    return _wilson(np.asarray(count, dtype=float) / members, members, 1.0)[1]
+
+
+def _wilson(
+    share: NDArray[np.float64], members: int, z: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centre and half-width of the Wilson interval at `z` standard deviations."""
+    spread = z**2 / members
+    center = (share + spread / 2) / (1 + spread)
+    return center, np.sqrt(spread * (share * (1 - share) + spread / 4)) / (1 + spread)
 
 
 def probability(count: int, members: int, level: float = 0.95) -> Probability:

@@ -11,8 +11,10 @@ use crate::dopri5::Work;
 use crate::error::DriftError;
 use crate::field::{SeaField, Vec2};
 use crate::lanes::WIDTH;
+use crate::logbook::{Logbook, Watch};
 use crate::model::lanes::{Carrier, Grid, State};
-use crate::model::{Model, OnPiece, Piece, Problem, Reach, Solver};
+use crate::model::{Model, OnPiece, Problem, Solver};
+use crate::statistics::Maps;
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
 use crate::wind::{Sampling, WindGenerator};
@@ -79,20 +81,12 @@ pub struct Member {
     pub stranding: Option<(f64, Vec2)>,
     /// Position at the output times it was adrift.
     pub positions: Vec<Vec2>,
+    /// Position at the times that maps sample, while it was adrift; empty once it is counted.
+    pub track: Vec<Vec2>,
+    /// Time of the first entry of each target, NaN where there was none.
+    pub entries: Vec<f64>,
     /// Why it failed.
     pub failure: Option<DriftError>,
-}
-
-impl Member {
-    /// One that could not be followed at all.
-    pub(crate) fn failed(error: DriftError) -> Self {
-        Self {
-            status: Status::Failed,
-            stranding: None,
-            positions: Vec::new(),
-            failure: Some(error),
-        }
-    }
 }
 
 /// What a trajectory holds at each output time.
@@ -108,74 +102,30 @@ pub struct Trajectory {
     pub work: Work,
 }
 
-/// Calls `visit` for each output time that the piece covers, up to `until`.
-fn outputs(
-    piece: &dyn Piece,
-    times: &[f64],
-    next: &mut usize,
-    until: f64,
-    mut visit: impl FnMut(f64) -> Result<(), DriftError>,
-) -> Result<(), DriftError> {
-    let end = piece.span().1.min(until);
-    while let Some(t) = times.get(*next).filter(|t| **t <= end) {
-        visit(*t)?;
-        *next += 1;
-    }
-    Ok(())
-}
-
 /// Records what `follow` hands over, a body's motion through the whole run, at some times.
 pub(crate) fn trajectory(
     times: &[f64],
     follow: impl FnOnce(OnPiece) -> Result<Work, DriftError>,
 ) -> Result<Trajectory, DriftError> {
-    let mut next = 0;
     let mut out = Trajectory::default();
     let work = follow(&mut |piece| {
-        outputs(piece, times, &mut next, f64::INFINITY, |t| {
-            out.position.push(piece.position(t)?);
-            out.velocity.push(piece.velocity(t)?);
-            out.mean.extend(piece.mean(t)?);
-            Ok(())
-        })?;
+        while let Some(t) = times.get(out.position.len()).filter(|t| **t <= piece.span().1) {
+            out.position.push(piece.position(*t)?);
+            out.velocity.push(piece.velocity(*t)?);
+            out.mean.extend(piece.mean(*t)?);
+        }
         Ok(ControlFlow::Continue(()))
     })?;
     Ok(Trajectory { work, ..out })
 }
 
-/// Follows one body, released at `start`, until it strands; what goes wrong on the way becomes its
-/// status. The coast comes with the tide's period; before the release there is no position.
+/// Follows one body until it strands; what goes wrong on the way becomes its status.
 pub(crate) fn member(
-    (coast, period): (Option<&Coast>, f64),
-    start: f64,
-    times: &[f64],
+    mut log: Logbook,
     follow: impl FnOnce(OnPiece) -> Result<Work, DriftError>,
 ) -> Member {
-    let mut next = times.partition_point(|t| *t < start);
-    let mut positions = Vec::with_capacity(times.len());
-    positions.resize(next, Vec2::repeat(f64::NAN));
-    let mut stranding = None;
-    let run = follow(&mut |piece| {
-        if let Some(coast) = coast {
-            stranding = coast.first_crossing(piece, period)?;
-        }
-        let until = stranding.map_or(f64::INFINITY, |(t, _)| t);
-        outputs(piece, times, &mut next, until, |t| {
-            positions.push(piece.position(t)?);
-            Ok(())
-        })?;
-        Ok(match stranding {
-            Some(_) => ControlFlow::Break(()),
-            None => ControlFlow::Continue(()),
-        })
-    });
-    let (status, failure) = match run {
-        Ok(_) if stranding.is_some() => (Status::Stranded, None),
-        Ok(_) => (Status::Afloat, None),
-        Err(DriftError::OutsideDomain { .. }) => (Status::LeftDomain, None),
-        Err(error) => (Status::Failed, Some(error)),
-    };
-    Member { status, stranding, positions, failure }
+    let run = follow(&mut |piece| log.look(piece, true));
+    log.close(run.map(|_| ()))
 }
 
 /// Wind of any member of an ensemble.
@@ -220,6 +170,8 @@ pub struct Ensemble<'a> {
     /// Output times, and the number of members that record their positions there.
     times: &'a [f64],
     keep: u64,
+    maps: Option<&'a Maps>,
+    targets: &'a [&'a Coast],
     end: f64,
     sampling: Sampling,
     side_by_side: Option<SideBySide<'a>>,
@@ -281,7 +233,24 @@ impl<'a> Ensemble<'a> {
                 ));
             }
         };
-        Ok(Self { scenario, winds, solver, times, keep, end, sampling, side_by_side })
+        let (maps, targets) = (None, &[][..]);
+        Ok(Self {
+            scenario,
+            winds,
+            solver,
+            times,
+            keep,
+            maps,
+            targets,
+            end,
+            sampling,
+            side_by_side,
+        })
+    }
+
+    /// Counts the members on maps, and notes when they first enter each target.
+    pub fn observed(self, maps: Option<&'a Maps>, targets: &'a [&'a Coast]) -> Self {
+        Self { maps, targets, ..self }
     }
 
     /// Follows the members of a range, in the order of their indices; groups of [`WIDTH`] share
@@ -294,7 +263,14 @@ impl<'a> Ensemble<'a> {
             .map(|group| {
                 let range =
                     (group * width).max(members.start)..((group + 1) * width).min(members.end);
-                self.group(range)
+                let mut members = self.group(range);
+                if let Some(maps) = self.maps {
+                    for member in &mut members {
+                        maps.count(member);
+                        member.track = Vec::new();
+                    }
+                }
+                members
             })
             .collect();
         followed.into_iter().flatten().collect()
@@ -309,20 +285,23 @@ impl<'a> Ensemble<'a> {
         members.map(|index| self.alone(index)).collect()
     }
 
-    fn times(&self, member: u64) -> &'a [f64] {
-        if member < self.keep { self.times } else { &[] }
+    fn log(&self, member: u64) -> Logbook<'a> {
+        Logbook::new(Watch {
+            coast: self.scenario.coast.as_ref(),
+            targets: self.targets,
+            period: self.scenario.sea.period(),
+            outputs: if member < self.keep { self.times } else { &[] },
+            samples: self.maps.map_or(&[], |maps| maps.grid().samples()),
+        })
     }
 
     /// Follows one member by the adaptive integrator.
     fn alone(&self, index: u64) -> Member {
         match self.winds.path(index, self.end, self.sampling) {
-            Ok(path) => {
-                let Scenario { coast, sea, .. } = self.scenario;
-                member((coast.as_ref(), sea.period()), 0.0, self.times(index), |on_piece| {
-                    self.solver.follow(self.scenario.problem(&path), on_piece)
-                })
-            }
-            Err(error) => Member::failed(error),
+            Ok(path) => member(self.log(index), |on_piece| {
+                self.solver.follow(self.scenario.problem(&path), on_piece)
+            }),
+            Err(error) => self.log(index).close(Err(error)),
         }
     }
 
@@ -357,20 +336,13 @@ impl<'a> Ensemble<'a> {
         let mut adrift: [bool; WIDTH] =
             std::array::from_fn(|place| members.contains(&index(place)));
         let mut alone = [false; WIDTH];
-        let mut found: [Member; WIDTH] = std::array::from_fn(|place| Member {
-            status: Status::Afloat,
-            stranding: None,
-            positions: Vec::with_capacity(self.times(index(place)).len()),
-            failure: None,
-        });
-        let mut next = [0; WIDTH];
-        let mut safe: [Option<(Vec2, f64)>; WIDTH] = [None; WIDTH];
+        let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| self.log(index(place)));
         let Scenario { sea, coast, .. } = self.scenario;
-        let bounded = coast.is_some();
+        let bounded = coast.is_some() || !self.targets.is_empty();
         let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
             return members.map(|index| self.alone(index)).collect();
         };
-        let watched = bounded || members.start < self.keep;
+        let watched = bounded || members.start < self.keep || self.maps.is_some();
         let together = if watched { 1 } else { UNWATCHED_STEPS };
         let mut n = 0;
         while n < shared.grid.steps() {
@@ -390,27 +362,21 @@ impl<'a> Ensemble<'a> {
                     (adrift[place], alone[place]) = (false, true);
                     continue;
                 }
-                let times = self.times(index(place));
-                let has_output = times.get(next[place]).is_some_and(|t| *t <= t1);
-                let near = match (coast, &stepped.reach) {
-                    (Some(coast), Some(reach)) => {
-                        let reach = shared.carrier.oscillating(&shared.problem, reach.of(place));
-                        !clear(coast, &reach, &mut safe[place])
-                    }
-                    _ => false,
-                };
-                if !(has_output || near) {
+                let log = &mut logs[place];
+                let near = stepped.reach.as_ref().is_some_and(|reach| {
+                    log.is_near(&shared.carrier.oscillating(&shared.problem, reach.of(place)))
+                });
+                if !(near || log.is_due(t1)) {
                     continue;
                 }
                 let stretch = wind.stretch(t1, place);
                 let problem = Problem { wind: &stretch, ..shared.problem };
                 let step = state.one_step(&shared.grid, last, &before, place);
-                let member = &mut found[place];
-                let looked = shared.carrier.with_piece(problem, &step, |piece| {
-                    self.look(piece, near, times, &mut next[place], member)
-                });
+                let looked =
+                    shared.carrier.with_piece(problem, &step, |piece| log.look(piece, near));
                 match looked {
-                    Ok(Ok(())) => adrift[place] = member.stranding.is_none(),
+                    Ok(Ok(ControlFlow::Continue(()))) => {}
+                    Ok(Ok(ControlFlow::Break(()))) => adrift[place] = false,
                     _ => (adrift[place], alone[place]) = (false, true),
                 }
             }
@@ -420,43 +386,13 @@ impl<'a> Ensemble<'a> {
             wind.go_on(stepped.wind);
         }
         (0..WIDTH)
-            .zip(found)
+            .zip(logs)
             .filter(|(place, _)| members.contains(&index(*place)))
-            .map(|(place, member)| if alone[place] { self.alone(index(place)) } else { member })
+            .map(
+                |(place, log)| {
+                    if alone[place] { self.alone(index(place)) } else { log.close(Ok(())) }
+                },
+            )
             .collect()
     }
-
-    /// Looks for a stranding within a piece and records the positions before it.
-    fn look(
-        &self,
-        piece: &dyn Piece,
-        near: bool,
-        times: &[f64],
-        next: &mut usize,
-        member: &mut Member,
-    ) -> Result<(), DriftError> {
-        if let Some(coast) = self.scenario.coast.as_ref().filter(|_| near) {
-            member.stranding = coast.first_crossing(piece, self.scenario.sea.period())?;
-        }
-        let until = member.stranding.map_or(f64::INFINITY, |(t, _)| t);
-        outputs(piece, times, next, until, |t| {
-            member.positions.push(piece.position(t)?);
-            Ok(())
-        })?;
-        if member.stranding.is_some() {
-            member.status = Status::Stranded;
-        }
-        Ok(())
-    }
-}
-
-/// Whether the coast is out of reach. A clearance changes by no more than the distance moved, so
-/// the one found last (`safe`: where, and how large) often tells without looking again.
-fn clear(coast: &Coast, reach: &Reach, safe: &mut Option<(Vec2, f64)>) -> bool {
-    if safe.is_some_and(|(x, clearance)| clearance - (reach.center - x).norm() > reach.radius) {
-        return true;
-    }
-    let clearance = coast.clearance(reach.center);
-    *safe = Some((reach.center, clearance));
-    clearance > reach.radius
 }

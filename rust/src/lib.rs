@@ -19,8 +19,10 @@
 //! | [`coast`] | first crossing of a trajectory with a coast |
 //! | [`geometry`] | plane and sphere |
 //! | [`lanes`] | numbers of several members side by side, for vector instructions |
+//! | [`logbook`] | what is written down of one member |
 //! | [`ensemble`] | members followed in parallel: the paper's body |
 //! | [`fleet`] | the same for bodies of any kind, each with its own release |
+//! | [`statistics`] | maps counted meanwhile |
 
 pub mod coast;
 pub mod dopri5;
@@ -30,7 +32,9 @@ pub mod field;
 pub mod fleet;
 pub mod geometry;
 pub mod lanes;
+pub mod logbook;
 pub mod model;
 #[cfg(feature = "python")]
 mod python;
+pub mod statistics;
 pub mod wind;

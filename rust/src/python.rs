@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use numpy::{
     Complex64, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1,
-    PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArray4, PyUntypedArrayMethods,
+    PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArray4, PyReadwriteArray1, PyReadwriteArray2,
+    PyReadwriteArray3, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -18,10 +19,11 @@ use crate::field::academic::{AcademicSea, SeparableCurrent};
 use crate::field::gridded::{Axis, GriddedSea, Tide};
 use crate::field::sum::SumOfSeas;
 use crate::field::{Harmonic, SeaField, Vec2};
-use crate::fleet::Fleet as CoreFleet;
+use crate::fleet::{Fleet as CoreFleet, Watched};
 use crate::geometry::Geometry;
 use crate::model::body::{Body, Line, Release};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
+use crate::statistics::{Cells, MapGrid, Maps as CoreMaps};
 use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
 use crate::wind::lanes::WindPaths as CorePaths;
 use crate::wind::path::WindPath as CorePath;
@@ -423,6 +425,37 @@ impl Coast {
     }
 }
 
+/// Maps being counted.
+#[pyclass(frozen)]
+struct Maps(CoreMaps);
+
+/// Present, arrived (of one more interval than map times), outside, stranded.
+type Counted<'py> = [Bound<'py, PyArray1<u32>>; 4];
+
+#[pymethods]
+impl Maps {
+    /// Cells (start, size, count) of x and y; `times` are among the `samples`.
+    #[new]
+    fn new(
+        x: (f64, f64, usize),
+        y: (f64, f64, usize),
+        times: PyReadonlyArray1<f64>,
+        samples: PyReadonlyArray1<f64>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let [x, y] = [x, y].map(|(start, size, count)| Cells { start, size, count });
+        let [times, samples] = [times, samples].map(|times| times.as_array().to_vec());
+        Ok(Self(CoreMaps::new(MapGrid::new(x, y, times, samples)?, threads)))
+    }
+
+    /// Numbers of members up to now, flat.
+    fn counts<'py>(&self, py: Python<'py>) -> Counted<'py> {
+        let counts = py.detach(|| self.0.total());
+        [counts.present, counts.arrived, counts.outside, counts.stranded]
+            .map(|values| values.into_pyarray(py))
+    }
+}
+
 /// Model with its parameters and tolerances.
 #[pyclass(frozen)]
 struct Solver(CoreSolver);
@@ -507,30 +540,36 @@ impl Scenario {
         trajectory_arrays(py, out)
     }
 
-    /// Members `first` to `first + count` under winds drawn for (seed, member), under the paths of
-    /// those indices, or under paths on common knots.
-    #[pyo3(signature = (winds, solver, first, count, times, keep, threads, steps_per_tide=None))]
+    /// Members from `first` on under winds drawn for (seed, member), under the paths of those
+    /// indices, or under paths on common knots: as many as `into` has rows. Gives the first
+    /// failure.
+    #[pyo3(signature = (
+        winds, solver, first, times, keep, into, threads, targets, steps_per_tide=None, maps=None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "what names a run")]
-    fn run<'py>(
+    fn run(
         &self,
-        py: Python<'py>,
+        py: Python,
         winds: GivenWinds,
         solver: &Solver,
         first: u64,
-        count: u64,
         times: PyReadonlyArray1<f64>,
         keep: u64,
+        into: Fates,
         threads: usize,
+        targets: Vec<Py<Coast>>,
         steps_per_tide: Option<f64>,
-    ) -> PyResult<Outcome<'py>> {
+        maps: Option<&Maps>,
+    ) -> PyResult<Option<String>> {
         let times = times.as_array().to_vec();
         let paths = winds.paths();
         let winds = winds.core(&paths);
+        let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
         let outputs = (times.as_slice(), keep);
-        let ensemble =
-            py.detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?;
-        let members = first..first + count;
-        run_batches(py, members, threads, (keep, times.len()), |batch| ensemble.follow(batch))
+        let ensemble = py
+            .detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?
+            .observed(maps.map(|maps| &maps.0), &targets);
+        run_batches(py, first, into, threads, |batch| ensemble.follow(batch))
     }
 }
 
@@ -618,74 +657,80 @@ impl Fleet {
     }
 
     /// As `Scenario.run`.
+    #[pyo3(signature = (winds, solver, first, times, keep, into, threads, targets, maps=None))]
     #[expect(clippy::too_many_arguments, reason = "what names a run")]
-    fn run<'py>(
+    fn run(
         &self,
-        py: Python<'py>,
+        py: Python,
         winds: GivenWinds,
         solver: &Solver,
         first: u64,
-        count: u64,
         times: PyReadonlyArray1<f64>,
         keep: u64,
+        into: Fates,
         threads: usize,
-    ) -> PyResult<Outcome<'py>> {
+        targets: Vec<Py<Coast>>,
+        maps: Option<&Maps>,
+    ) -> PyResult<Option<String>> {
         let times = times.as_array().to_vec();
         let paths = winds.paths();
         let winds = winds.core(&paths);
-        let outputs = (times.as_slice(), keep);
-        let members = first..first + count;
-        run_batches(py, members, threads, (keep, times.len()), |batch| {
-            self.0.follow(&winds, &solver.0, outputs, batch)
+        let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
+        let watched =
+            Watched { outputs: &times, keep, maps: maps.map(|maps| &maps.0), targets: &targets };
+        run_batches(py, first, into, threads, |batch| {
+            self.0.follow(&winds, &solver.0, watched, batch)
         })
     }
 }
 
-/// Follows members in batches, with a look at Python's signals between them.
-fn run_batches<'py>(
-    py: Python<'py>,
-    members: std::ops::Range<u64>,
+/// Follows members from `first` on in batches, with a look at Python's signals between them, and
+/// writes down what became of them. Gives the first failure.
+fn run_batches(
+    py: Python,
+    first: u64,
+    into: Fates,
     threads: usize,
-    (keep, times): (u64, usize),
     follow: impl Fn(std::ops::Range<u64>) -> Vec<Member> + Sync,
-) -> PyResult<Outcome<'py>> {
+) -> PyResult<Option<String>> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
         .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-    let count = members.end - members.start;
-    let kept = keep.saturating_sub(members.start).min(count) as usize;
+    let (mut status, mut stranding_time, mut place, mut position, mut entry_time) = into;
+    let (status, stranding_time) = (status.as_slice_mut()?, stranding_time.as_slice_mut()?);
+    let mut place = place.as_array_mut();
+    let mut position = position.as_array_mut();
+    let mut entry_time = entry_time.as_array_mut();
+    let members = first..first + status.len() as u64;
     let mut size = BATCH * threads as u64;
-    let mut followed: Vec<Member> = Vec::with_capacity(count as usize);
+    let mut failure = None;
+    let mut row = 0;
     let mut at = members.start;
     while at < members.end {
         let batch = at..(at + size).min(members.end);
         at = batch.end;
         let began = Instant::now();
-        followed.extend(py.detach(|| pool.install(|| follow(batch))));
+        for member in py.detach(|| pool.install(|| follow(batch))) {
+            status[row] = member.status as i8;
+            let (t, x) = member.stranding.unwrap_or((f64::NAN, Vec2::repeat(f64::NAN)));
+            stranding_time[row] = t;
+            (place[[row, 0]], place[[row, 1]]) = (x.x, x.y);
+            for (k, x) in member.positions.iter().enumerate() {
+                (position[[row, k, 0]], position[[row, k, 1]]) = (x.x, x.y);
+            }
+            for (k, t) in member.entries.iter().enumerate() {
+                entry_time[[row, k]] = *t;
+            }
+            failure = failure.or(member.failure.map(|error| error.to_string()));
+            row += 1;
+        }
         py.check_signals()?;
         if began.elapsed() < SIGNALS_LOOKED_FOR {
             size *= 2;
         }
     }
-    let nowhere = Vec2::repeat(f64::NAN);
-    let status: Vec<i8> = followed.iter().map(|member| member.status as i8).collect();
-    let (stranding_times, places): (Vec<f64>, Vec<Vec2>) =
-        followed.iter().map(|member| member.stranding.unwrap_or((f64::NAN, nowhere))).unzip();
-    let mut positions = Vec::with_capacity(kept * times);
-    for member in &followed[..kept] {
-        positions.extend(&member.positions);
-        positions.resize(positions.len() + times - member.positions.len(), nowhere);
-    }
-    let failure =
-        followed.iter().find_map(|member| member.failure.as_ref().map(ToString::to_string));
-    Ok((
-        status.into_pyarray(py),
-        stranding_times.into_pyarray(py),
-        columns(py, &places)?,
-        layers(py, [kept, times], &positions)?,
-        failure,
-    ))
+    Ok(failure)
 }
 
 fn trajectory_arrays(py: Python<'_>, out: Trajectory) -> PyResult<Followed<'_>> {
@@ -730,13 +775,14 @@ impl GivenWinds {
 /// Position, velocity, slow position and velocity; steps accepted, rejected, and evaluations.
 type Followed<'py> = ([Bound<'py, PyArray2<f64>>; 4], [usize; 3]);
 
-/// Status, stranding time and position, positions of the kept members, first failure.
-type Outcome<'py> = (
-    Bound<'py, PyArray1<i8>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray3<f64>>,
-    Option<String>,
+/// Where the fate of each member goes, a row each: status, stranding time and place, positions of
+/// the kept members (which come first, and may be fewer), entry time of each target.
+type Fates<'py> = (
+    PyReadwriteArray1<'py, i8>,
+    PyReadwriteArray1<'py, f64>,
+    PyReadwriteArray2<'py, f64>,
+    PyReadwriteArray3<'py, f64>,
+    PyReadwriteArray2<'py, f64>,
 );
 
 /// Compiled core of driftcore.
@@ -744,7 +790,7 @@ type Outcome<'py> = (
 mod _core {
     #[pymodule_export]
     use super::{
-        Bootstrap, Coast, Fleet, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths,
+        Bootstrap, Coast, Fleet, Maps, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths,
     };
 
     #[pymodule_export]

@@ -95,6 +95,7 @@ pub struct Grid {
     carrier: Carrier,
     steps: usize,
     h: f64,
+    duration: f64,
     drag: f64,
     /// For a sea linear in the position, `∇g − Λ` at the stages of each step, row by row.
     linear: Vec<[[f64; 4]; 6]>,
@@ -135,7 +136,7 @@ impl Grid {
                 linear.push(stages);
             }
         }
-        Ok(Self { carrier, steps, h, drag, linear })
+        Ok(Self { carrier, steps, h, duration, drag, linear })
     }
 
     /// Number of steps.
@@ -145,7 +146,9 @@ impl Grid {
 
     /// Start and end of step `n`.
     pub fn span(&self, n: usize) -> (f64, f64) {
-        (n as f64 * self.h, (n + 1) as f64 * self.h)
+        // The last ends with the run: the sum of the steps may fall short of it by rounding.
+        let end = if n + 1 == self.steps { self.duration } else { (n + 1) as f64 * self.h };
+        (n as f64 * self.h, end)
     }
 }
 

@@ -1,0 +1,135 @@
+//! What is written down of one member while it is followed: where it was, what it met.
+
+use std::ops::ControlFlow;
+
+use crate::coast::Coast;
+use crate::ensemble::{Member, Status};
+use crate::error::DriftError;
+use crate::field::Vec2;
+use crate::model::{Piece, Reach};
+
+/// What a member is watched for.
+#[derive(Clone, Copy)]
+pub struct Watch<'a> {
+    /// The coast, where it strands.
+    pub coast: Option<&'a Coast>,
+    /// Shapes whose first entry is written down; entering stops nobody.
+    pub targets: &'a [&'a Coast],
+    /// Tide period.
+    pub period: f64,
+    /// Output times.
+    pub outputs: &'a [f64],
+    /// Times at which the track is sampled.
+    pub samples: &'a [f64],
+}
+
+/// Where a clearance was found last, and how large.
+type Safe = Option<(Vec2, f64)>;
+
+/// The logbook of one member.
+pub struct Logbook<'a> {
+    watch: Watch<'a>,
+    stranding: Option<(f64, Vec2)>,
+    positions: Vec<Vec2>,
+    track: Vec<Vec2>,
+    /// First entry of each target, NaN before.
+    entries: Vec<f64>,
+    /// Of the coast and the targets.
+    safe: (Safe, Vec<Safe>),
+}
+
+impl<'a> Logbook<'a> {
+    /// Nothing written yet.
+    pub fn new(watch: Watch<'a>) -> Self {
+        Self {
+            watch,
+            stranding: None,
+            positions: Vec::with_capacity(watch.outputs.len()),
+            track: Vec::with_capacity(watch.samples.len()),
+            entries: vec![f64::NAN; watch.targets.len()],
+            safe: (None, vec![None; watch.targets.len()]),
+        }
+    }
+
+    /// That of a member who is nowhere before its release.
+    pub fn from_release(watch: Watch<'a>, time: f64) -> Self {
+        let mut log = Self::new(watch);
+        let nowhere = Vec2::repeat(f64::NAN);
+        log.positions.resize(watch.outputs.partition_point(|t| *t < time), nowhere);
+        log.track.resize(watch.samples.partition_point(|t| *t < time), nowhere);
+        log
+    }
+
+    /// Whether a position is to be written down at `t` or before.
+    pub fn is_due(&self, t: f64) -> bool {
+        let due = |times: &[f64], done: usize| times.get(done).is_some_and(|next| *next <= t);
+        due(self.watch.outputs, self.positions.len()) || due(self.watch.samples, self.track.len())
+    }
+
+    /// Whether the coast, or a target not entered yet, may be met within `reach`.
+    pub fn is_near(&mut self, reach: &Reach) -> bool {
+        let (safe, safe_targets) = &mut self.safe;
+        let mut near = self.watch.coast.is_some_and(|coast| !clear(coast, reach, safe));
+        for ((target, entry), safe) in
+            self.watch.targets.iter().zip(&self.entries).zip(safe_targets)
+        {
+            near = near || entry.is_nan() && !clear(target, reach, safe);
+        }
+        near
+    }
+
+    /// Writes down what a piece of trajectory tells; with `near`, looks for the coast and targets.
+    /// Breaks where the member strands.
+    pub fn look(&mut self, piece: &dyn Piece, near: bool) -> Result<ControlFlow<()>, DriftError> {
+        let Watch { coast, targets, period, outputs, samples } = self.watch;
+        if let Some(coast) = coast.filter(|_| near) {
+            self.stranding = coast.first_crossing(piece, period)?;
+        }
+        let until = self.stranding.map_or(f64::INFINITY, |(t, _)| t);
+        for (target, entry) in targets.iter().zip(&mut self.entries) {
+            if near && entry.is_nan() {
+                let entered = target.first_crossing(piece, period)?;
+                *entry = entered.map_or(f64::NAN, |(t, _)| t);
+                if *entry > until {
+                    *entry = f64::NAN;
+                }
+            }
+        }
+        let end = piece.span().1.min(until);
+        for (times, places) in [(outputs, &mut self.positions), (samples, &mut self.track)] {
+            while let Some(t) = times.get(places.len()).filter(|t| **t <= end) {
+                places.push(piece.position(*t)?);
+            }
+        }
+        Ok(match self.stranding {
+            Some(_) => ControlFlow::Break(()),
+            None => ControlFlow::Continue(()),
+        })
+    }
+
+    /// Closes the book: what the member came to, or what ended it.
+    pub fn close(self, run: Result<(), DriftError>) -> Member {
+        let Self { stranding, positions, track, mut entries, .. } = self;
+        let (status, failure) = match run {
+            Ok(()) if stranding.is_some() => (Status::Stranded, None),
+            Ok(()) => (Status::Afloat, None),
+            Err(DriftError::OutsideDomain { .. }) => (Status::LeftDomain, None),
+            Err(error) => (Status::Failed, Some(error)),
+        };
+        if status == Status::Failed {
+            entries.fill(f64::NAN);
+        }
+        Member { status, stranding, positions, track, entries, failure }
+    }
+}
+
+/// Whether a coast is out of reach. A clearance changes by no more than the distance moved, so
+/// the one found last (`safe`: where, and how large) often tells without looking again.
+fn clear(coast: &Coast, reach: &Reach, safe: &mut Safe) -> bool {
+    if safe.is_some_and(|(x, clearance)| clearance - (reach.center - x).norm() > reach.radius) {
+        return true;
+    }
+    let clearance = coast.clearance(reach.center);
+    *safe = Some((reach.center, clearance));
+    clearance > reach.radius
+}
