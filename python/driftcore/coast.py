@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from driftcore.errors import DriftCoreWarning, ScenarioError
+from driftcore.errors import DriftCoreWarning, ScenarioError, need_geo
 
 if TYPE_CHECKING:
     import pyproj
@@ -38,7 +38,7 @@ _SHOWN = 3
 
 def geodesic() -> pyproj.Geod:
     """Give the ellipsoid that distances are measured on, WGS 84."""
-    _need("pyproj")
+    need_geo("pyproj")
     import pyproj
 
     return pyproj.Geod(ellps="WGS84")
@@ -120,7 +120,7 @@ class LandCoast:
         file = Path(path)
         if not file.exists():
             raise ScenarioError(f"path: '{file}' is not accepted; there is no such file")
-        _need("shapely")
+        need_geo("shapely")
         suffixes = [suffix.lower() for suffix in file.suffixes[-2:] if suffix.lower() != ".gz"]
         if suffixes and suffixes[-1] in {".geojson", ".json"}:
             geometries, names, system = _read_geojson(file, name_column)
@@ -159,7 +159,7 @@ class LandCoast:
         DriftCoreWarning
             A polygon crossed itself and was repaired.
         """
-        _need("shapely")
+        need_geo("shapely", "scipy")
         import shapely
 
         given = [geometries] if isinstance(geometries, shapely.Geometry) else list(geometries)
@@ -597,15 +597,6 @@ def _stretch(name: str, value: Any) -> BaseGeometry:
     return shapely.union_all(turns)
 
 
-def _need(module: str) -> None:
-    from importlib.util import find_spec
-
-    if find_spec(module) is None:
-        raise ScenarioError(
-            f'{module}: is not installed; pip install "driftcore[geo]" brings what coasts need'
-        )
-
-
 def _check_within(name: str, value: Any, low: float, high: float) -> None:
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not number or not low <= value <= high:
@@ -654,7 +645,7 @@ def _read_geojson(file: Path, name_column: str | None) -> tuple[Geometries, list
 def _read_layer(
     file: Path, name_column: str | None, layer: str | None
 ) -> tuple[Geometries, list[Any], str | None]:
-    _need("pyogrio")
+    need_geo("pyogrio")
     import pyogrio  # type: ignore[import-untyped]  # has no types
     import shapely
 
@@ -700,7 +691,7 @@ def _in_degrees(geometries: Geometries, system: str | None, label: str) -> Geome
         return geometries
     if system.upper() in {"EPSG:4326", "OGC:CRS84", "URN:OGC:DEF:CRS:OGC:1.3:CRS84"}:
         return geometries
-    _need("pyproj")
+    need_geo("pyproj")
     import pyproj
 
     try:
@@ -858,7 +849,7 @@ def _joined(
 
 def _plane(longitude: float, latitude: float) -> pyproj.Transformer:
     """Give the plane [m] that shows distances and bearings from a point as they are."""
-    _need("pyproj")
+    need_geo("pyproj")
     import pyproj
 
     return pyproj.Transformer.from_crs(
