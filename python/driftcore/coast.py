@@ -34,6 +34,8 @@ Box = tuple[float, float, float, float]
 _CIRCLE = 360.0
 _POINTS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 _SHOWN = 3
+# A side so long, straight in longitude and latitude, bends by less than a metre in a plane.
+_STRAIGHT = 0.05
 
 
 def geodesic() -> pyproj.Geod:
@@ -173,6 +175,8 @@ class LandCoast:
         polygons, owner = _polygons(shapely.force_2d(shapes), label)
         _check_degrees(polygons, label)
         polygons, source = _repaired(_unwrapped(polygons, label), owner, label)
+        if not len(polygons):
+            raise ScenarioError(f"{label}: holds no polygon with an area; land should be polygons")
         labels = [None] * len(given) if names is None else list(names)
         whole = cls(polygons, tuple(labels[k] for k in source), label)
         return whole.around(0.0)
@@ -277,6 +281,9 @@ class LandCoast:
                 "accepted; east should be above west by at most 360, and north above south"
             )
         if self.box is not None:
+            middle = (west + east) / 2
+            turn = float(near_longitude(middle, self.reference)) - middle
+            west, east = west + turn, east + turn
             w, e, s, n = self.box
             if not (w <= west and east <= e and s <= south and north <= n):
                 raise ScenarioError(
@@ -398,9 +405,9 @@ class LandCoast:
             return math.inf, math.nan
         # True distance from its centre, so that the nearest point of the plane is the nearest.
         plane = _plane(longitude, latitude)
-        projected: Any = shapely.linestrings(
-            np.concatenate([np.column_stack(plane.transform(*line.T)) for line in lines]),
-            indices=np.repeat(np.arange(len(lines)), [len(line) for line in lines]),
+        fine = shapely.segmentize([shapely.LineString(line) for line in lines], _STRAIGHT)
+        projected = shapely.transform(
+            fine, lambda x: np.column_stack(plane.transform(x[:, 0], x[:, 1]))
         )
         origin = shapely.Point(0, 0)
         nearest = projected[np.argmin(shapely.distance(projected, origin))]
@@ -619,7 +626,9 @@ def _read_geojson(file: Path, name_column: str | None) -> tuple[Geometries, list
         document = json.loads(gzip.decompress(data) if file.suffix.lower() == ".gz" else data)
     except (OSError, EOFError, ValueError) as error:
         raise ScenarioError(f"{file}: cannot be read as GeoJSON: {error}") from None
-    kind = document.get("type") if isinstance(document, dict) else None
+    if not isinstance(document, dict):
+        raise ScenarioError(f"{file}: cannot be read as GeoJSON: it holds no object")
+    kind = document.get("type")
     if kind == "FeatureCollection":
         features = document.get("features") or []
     else:
@@ -637,8 +646,9 @@ def _read_geojson(file: Path, name_column: str | None) -> tuple[Geometries, list
         known = sorted({key for f in features for key in f.get("properties") or {}})
         raise ScenarioError(_no_column(name_column, known))
     # RFC 7946 has longitude and latitude only; the GeoJSON before it could name another system.
-    named = document.get("crs") if isinstance(document, dict) else None
-    system = ((named or {}).get("properties") or {}).get("name", "OGC:CRS84")
+    system = "OGC:CRS84"
+    if isinstance(document.get("crs"), dict):
+        system = document["crs"].get("properties", {}).get("name", system)
     return _array(geometries), names, system
 
 

@@ -170,8 +170,9 @@ class Release(Configuration):
             reason = shapely.is_valid_reason(geometry)
             raise ScenarioError(f"geometry: {reason}: is not accepted; repair it by make_valid")
         flat = shapely.force_2d(geometry)
-        parts = shapely.get_rings(flat) if kinds[kind] == "polygon" else shapely.get_parts(flat)
-        rings = [shapely.get_coordinates(part) for part in parts]
+        parts = shapely.get_parts(flat)
+        lines = shapely.get_rings(parts) if kinds[kind] == "polygon" else parts
+        rings = [shapely.get_coordinates(line) for line in lines]
         return cls._made(kinds[kind], rings, time, **options)
 
     @classmethod
