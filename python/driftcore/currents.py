@@ -165,14 +165,14 @@ class Current(VectorGrid):
 
         dy = np.deg2rad(self.latitude[1] - self.latitude[0]) * _EARTH_RADIUS
         dx = np.deg2rad(self.longitude[1] - self.longitude[0]) * _EARTH_RADIUS
-        along_y, along_x = np.gradient(velocity, dy, dx, axis=(2, 3))
+        along_y, along_x = map(np.asarray, np.gradient(velocity, dy, dx, axis=(2, 3)))
         along_x /= np.maximum(np.cos(np.deg2rad(self.latitude)), 1e-3)[:, None]
         gradient2 = square(along_x) + square(along_y)
         mean = velocity.mean(axis=1, keepdims=True)
         rate2 = 0.0
         if len(self.times) > 1:
             step_h = self._span_h / (len(self.times) - 1)
-            rate2 = square(np.asarray(np.diff(velocity, axis=1) / step_h))
+            rate2 = square(np.diff(velocity, axis=1) / step_h)
         return Scales(
             math.sqrt(square(velocity)),
             math.sqrt(square(mean)),
