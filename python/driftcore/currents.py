@@ -76,10 +76,12 @@ class Current(VectorGrid):
         Raises
         ------
         RecordError
-            If it is no current, or its times are too irregular to interpolate them.
+            If it is no current, its times are too irregular to interpolate them, or scipy is
+            missing.
         """
         if grid.kind != "current":
             raise RecordError(f"kind: {grid.kind!r} is not accepted; a current is needed")
+        _require_scipy()
         land = grid.missing
         u, v = (
             filled(grid.u, grid.longitude, grid.latitude),
@@ -214,6 +216,15 @@ def from_netcdf(
     )
 
 
+def _require_scipy() -> None:
+    try:
+        import scipy  # noqa: F401
+    except ImportError:
+        raise RecordError(
+            'scipy is needed to make a current ready: pip install "driftcore[geo]"'
+        ) from None
+
+
 def _root_of_ratio(above: float, below: float) -> float:
     return math.sqrt(above / below) if below else math.inf
 
@@ -242,12 +253,9 @@ def filled(values: Float, longitude: Float, latitude: Float) -> Float:
             f"values: step {int(empty[0])} has none, one of {empty.size}; leave it out, by period= "
             "or a list of other files"
         )
-    try:
-        from scipy.sparse.linalg import splu
-    except ImportError:
-        raise RecordError(
-            'scipy is needed to fill land cells: pip install "driftcore[geo]"'
-        ) from None
+    _require_scipy()
+    from scipy.sparse.linalg import splu
+
     flat = values.reshape(len(values), -1).copy()
     laplacian = _laplacian(longitude, latitude)
     # Land is the same at all times of most models: one factorisation serves them all.
