@@ -58,7 +58,7 @@ CORRELATION = "correlation with the grid's centre, largest difference"
 FIELD_DEVIATION = "standard deviation, largest relative error of a cell"
 _LARGEST_CORRELATION_ERROR = 0.05
 _LARGEST_DEVIATION_ERROR = 0.06
-_FIELDS_COMPARED = 20_000
+_COMPARED_MEMBERS, _COMPARED_DAYS, _COMPARED_FIELDS = 200, 30, 24_000
 
 
 class Components(NamedTuple):
@@ -508,12 +508,18 @@ def assess(wind: FieldBootstrap, *, seasons: int = 200, seed: int = 1) -> list[C
 
 
 def _space(wind: FieldBootstrap, row: int, column: int, seed: int) -> list[Check]:
-    steps = max(1, round(30 * 24 / wind.gridded.record.step_h))
-    members = max(1, _FIELDS_COMPARED // steps)
-    sample = wind.sample(members, steps, seed)
+    per_day = round(24 / wind.gridded.record.step_h)
+    steps = _COMPARED_DAYS * per_day
+    # Fields an hour apart tell little more than one; each hour of the day must be met.
+    stride = math.ceil(_COMPARED_MEMBERS * steps / _COMPARED_FIELDS)
+    while math.gcd(stride, per_day) > 1:
+        stride += 1
+    whole = wind.sample(_COMPARED_MEMBERS, steps, seed)
+    kept = np.s_[:, ::stride]
+    sample = FieldSample(whole.indices[kept], whole.components[kept], whole.phase[kept])
     found, expected = _Moments(row, column), _Moments(row, column)
     expected.add(wind.gridded.velocity)
-    for member in range(members):
+    for member in range(_COMPARED_MEMBERS):
         found.add(np.stack(wind.fields(sample, member), axis=1))
     differences = found.correlation - expected.correlation
     errors = found.deviation / expected.deviation - 1
