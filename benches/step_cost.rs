@@ -10,7 +10,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use driftcore::coast::{Coast, Side};
 use driftcore::ensemble::{Ensemble, Scenario, Winds};
 use driftcore::field::academic::AcademicSea;
-use driftcore::field::gridded::{Axis, GriddedSea};
+use driftcore::field::gridded::{Axis, GriddedSea, Tide};
 use driftcore::field::{Harmonics, SeaField, Vec2};
 use driftcore::model::{Formulation, Model, Problem, Solver};
 use driftcore::wind::bootstrap::{Bootstrap, Catalogue};
@@ -60,8 +60,14 @@ fn gridded() -> GriddedSea {
     let count = 52 * 52 * channels;
     let coefficients = (0..count).map(|k| Complex64::cis((k * k % 997) as f64)).collect();
     let still = Axis { start: 0.0, step: 1.0, count: 1 };
-    GriddedSea::new(EPSILON, [axis(50), axis(50), still], 2, channels, coefficients)
-        .expect("the grid is well formed")
+    GriddedSea::new(
+        EPSILON,
+        [axis(50), axis(50), still],
+        Tide::Harmonics(2),
+        channels,
+        coefficients,
+    )
+    .expect("the grid is well formed")
 }
 
 fn scenario() -> Scenario {

@@ -8,10 +8,10 @@ use std::sync::Arc;
 
 use driftcore::coast::{Coast, Side};
 use driftcore::dopri5::{Options, Step, Work, euler, integrate};
-use driftcore::ensemble::{self, Ensemble, Scenario, Status, Winds};
+use driftcore::ensemble::{Ensemble, Scenario, Status, Winds};
 use driftcore::error::DriftError;
 use driftcore::field::academic::{AcademicSea, SeparableCurrent};
-use driftcore::field::gridded::{Axis, GriddedSea};
+use driftcore::field::gridded::{Axis, GriddedSea, Tide};
 use driftcore::field::{FieldBounds, Harmonics, SeaField, Vec2, in_phase, phasors, real};
 use driftcore::model::lanes::{Carrier, Grid, State};
 use driftcore::model::{Formulation, Model, Piece, Problem, Reach, Solver};
@@ -174,7 +174,7 @@ fn slow_velocity_is_the_derivative_of_the_slow_position() {
         Model::Paper { order: 1, window: period / 2.0, wind_terms: false },
         Model::Full(Formulation::B),
     ] {
-        let found = ensemble::trajectory(&scenario, &wind, &solver(model), &outputs).unwrap();
+        let found = scenario.trajectory(&wind, &solver(model), &outputs).unwrap();
         assert_eq!((found.position.len(), found.velocity.len()), (60, 60));
         assert!(found.work.accepted > 0 && found.work.evaluations > 6 * found.work.accepted);
         for (x, v) in found.position.chunks(3).zip(found.velocity.chunks(3)) {
@@ -222,7 +222,7 @@ fn wind_terms_of_a_growing_wind() {
     let wind = WindPath::new(vec![-3.0, 4.0], vec![c * -3.0, c * 4.0]).unwrap();
     let times: Vec<f64> = (0..=50).map(|k| 0.02 * f64::from(k)).collect();
     let model = Model::Paper { order: 1, window: 0.11, wind_terms: true };
-    let found = ensemble::trajectory(&scenario, &wind, &solver(model), &times).unwrap();
+    let found = scenario.trajectory(&wind, &solver(model), &times).unwrap();
     for (k, t) in times.iter().enumerate() {
         let left = (-drag * t).exp();
         let past = (scenario.velocity + c / drag) * left;
@@ -622,7 +622,7 @@ fn splines_reproduce_cubics() {
             }
         }
     }
-    let sea = GriddedSea::new(0.7, [x, y, time], 1, 4, coefficients).unwrap();
+    let sea = GriddedSea::new(0.7, [x, y, time], Tide::Harmonics(1), 4, coefficients).unwrap();
     let mut out = Harmonics::default();
     for k in 0..60 {
         let part = |stride: f64| (stride * f64::from(k)).fract();
@@ -663,8 +663,14 @@ fn splines_are_local() {
     for last in 3..=10 {
         let coefficients = (0..11)
             .flat_map(|k| [Complex64::from(f64::from(u8::from(k == last))), Complex64::from(0.0)]);
-        let sea =
-            GriddedSea::new(1.0, [x, constant, constant], 0, 2, coefficients.collect()).unwrap();
+        let sea = GriddedSea::new(
+            1.0,
+            [x, constant, constant],
+            Tide::Harmonics(0),
+            2,
+            coefficients.collect(),
+        )
+        .unwrap();
         for place in [0.3, 0.9, 1.4, 2.2, 3.7, 4.5, 5.1, 6.6, 7.2, 7.9] {
             let into = place - (last as f64 - 3.0);
             let found = sea.velocity(0.0, Vec2::new(0.5 * place, 7.0)).unwrap();
@@ -698,7 +704,7 @@ fn bounds_of_a_linear_tide() {
             }
         }
     }
-    let sea = GriddedSea::new(0.1, [x, y, time], 1, 6, coefficients).unwrap();
+    let sea = GriddedSea::new(0.1, [x, y, time], Tide::Harmonics(1), 6, coefficients).unwrap();
     // Within 0.2 of (4.5, 5) only one cell matters: nodes 3 to 6 and 2 to 8, times to 2.
     let bounds = sea.bounds(Vec2::new(4.5, 5.0), 0.2);
     let largest = 2.0 + 6.0 * g + 8.0 * k;
@@ -722,7 +728,7 @@ fn a_sea_of_one_row() {
     let (x, one) =
         (Axis { start: 0.0, step: 1.0, count: 4 }, Axis { start: 0.0, step: 1.0, count: 1 });
     let row = (-1..=4).flat_map(|i| [f64::from(i), 1.0].map(Complex64::from));
-    let sea = GriddedSea::new(1.0, [x, one, one], 1, 2, row.collect()).unwrap();
+    let sea = GriddedSea::new(1.0, [x, one, one], Tide::Harmonics(1), 2, row.collect()).unwrap();
     for y in [0.0, 1e6, -1e6] {
         // Re[Z e^{iωt}] at t = 1/6, cos ωt = ½.
         let velocity = sea.velocity(1.0 / 6.0, Vec2::new(1.7, y)).unwrap();
@@ -738,7 +744,7 @@ fn broken_seas_are_refused() {
     let axis = |count| Axis { start: 0.0, step: 0.5, count };
     let zeros = |n| vec![Complex64::new(0.0, 0.0); n];
     let sea = |x, tides, channels, coefficients| {
-        GriddedSea::new(1.0, [x, axis(1), axis(1)], tides, channels, coefficients)
+        GriddedSea::new(1.0, [x, axis(1), axis(1)], Tide::Harmonics(tides), channels, coefficients)
     };
     assert!(sea(axis(4), 1, 4, zeros(24)).is_ok());
     assert!(sea(axis(4), 2, 4, zeros(24)).is_ok());
@@ -1047,7 +1053,7 @@ fn members_are_bodies_alone() {
         assert_eq!(members.len(), 3);
         for (member, index) in members.iter().zip(2..) {
             let wind = generator.path(11, index, 1.0, sampling).unwrap();
-            let alone = ensemble::trajectory(&scenario, &wind, &solver, &times).unwrap();
+            let alone = scenario.trajectory(&wind, &solver, &times).unwrap();
             assert_eq!(member.status, Status::Afloat);
             let kept: &[Vec2] = if index < 4 { &alone.position } else { &[] };
             assert_eq!(member.positions.len(), kept.len());
@@ -1074,7 +1080,14 @@ fn a_start_that_does_not_converge_is_an_error() {
     let x = Axis { start: -10.0, step: 5.0, count: 5 };
     let constant = Axis { start: 0.0, step: 1.0, count: 1 };
     let coefficients = (-3..=3).flat_map(|k| [Complex64::new(0.0, 5.0 * f64::from(k)), 0.0.into()]);
-    let sea = GriddedSea::new(TAU, [x, constant, constant], 1, 2, coefficients.collect()).unwrap();
+    let sea = GriddedSea::new(
+        TAU,
+        [x, constant, constant],
+        Tide::Harmonics(1),
+        2,
+        coefficients.collect(),
+    )
+    .unwrap();
     let wind = steady(Vec2::zeros());
     let position = Vec2::new(1.0, 0.0);
     let velocity = Vec2::zeros();

@@ -10,7 +10,7 @@ use driftcore::coast::{Coast, Side};
 use driftcore::ensemble::{Ensemble, Member, Scenario, Status, Winds};
 use driftcore::error::DriftError;
 use driftcore::field::academic::{AcademicSea, SeparableCurrent};
-use driftcore::field::gridded::{Axis, GriddedSea};
+use driftcore::field::gridded::{Axis, GriddedSea, Tide};
 use driftcore::field::{SeaField, Vec2};
 use driftcore::model::{Formulation, Model, Problem, Solver};
 use driftcore::wind::bootstrap::{Bootstrap, Catalogue};
@@ -62,7 +62,7 @@ fn nonlinear_sea(period: f64) -> GriddedSea {
             }
         }
     }
-    GriddedSea::new(period, [x, y, time], 2, 8, coefficients).unwrap()
+    GriddedSea::new(period, [x, y, time], Tide::Harmonics(2), 8, coefficients).unwrap()
 }
 
 fn problem<'a>(sea: &'a dyn SeaField, wind: &'a WindPath, drag: f64) -> Problem<'a> {

@@ -83,6 +83,15 @@ class Sea:
         tide_harmonics: int,
         coefficients: NDArray[np.complex128],
     ) -> Sea: ...
+    @staticmethod
+    def constituents(
+        period: float,
+        axes: list[tuple[float, float, int]],
+        constituents: list[tuple[float, int]],
+        coefficients: NDArray[np.complex128],
+    ) -> Sea: ...
+    @staticmethod
+    def sum(seas: list[Sea]) -> Sea: ...
     def velocity(self, times: _Floats, positions: _Floats) -> _Floats: ...
 
 @final
@@ -103,7 +112,7 @@ class Maps:
         samples: _Floats,
         threads: int,
     ) -> Maps: ...
-    def counts(self) -> tuple[_Counts, _Counts, _Counts, _Counts]: ...
+    def counts(self) -> list[_Counts]: ...
 
 @final
 class Solver:
@@ -145,5 +154,35 @@ class Scenario:
         threads: int,
         targets: Sequence[Coast],
         steps_per_tide: float | None = None,
+        maps: Maps | None = None,
+    ) -> str | None: ...
+
+@final
+class Fleet:
+    def __new__(
+        cls,
+        sea: Sea,
+        coast: Coast | None,
+        latitude: float | None,
+        end: float,
+        first: int,
+        times: _Floats,
+        positions: _Floats,
+        velocities: _Floats | None,
+        bodies: _Floats,
+        jibing_rate: float,
+        seed: int,
+    ) -> Fleet: ...
+    def trajectory(self, wind: WindPath, solver: Solver, times: _Floats) -> list[_Floats]: ...
+    def run(
+        self,
+        winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
+        solver: Solver,
+        first: int,
+        times: _Floats,
+        keep: int,
+        into: _Fates,
+        threads: int,
+        targets: Sequence[Coast],
         maps: Maps | None = None,
     ) -> str | None: ...

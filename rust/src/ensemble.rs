@@ -11,10 +11,9 @@ use crate::dopri5::Work;
 use crate::error::DriftError;
 use crate::field::{SeaField, Vec2};
 use crate::lanes::WIDTH;
-use crate::logbook::{Logbook, Watch};
+use crate::logbook::{Logbook, Observed};
 use crate::model::lanes::{Carrier, Grid, State};
-use crate::model::{Model, Problem, Solver};
-use crate::statistics::Maps;
+use crate::model::{Model, OnPiece, Problem, Solver};
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
 use crate::wind::{Sampling, WindGenerator};
@@ -36,6 +35,16 @@ pub struct Scenario {
 }
 
 impl Scenario {
+    /// Follows the body through the whole run under a given wind, whatever coast there is.
+    pub fn trajectory(
+        &self,
+        wind: &WindPath,
+        solver: &Solver,
+        times: &[f64],
+    ) -> Result<Trajectory, DriftError> {
+        trajectory(times, |on_piece| solver.follow(self.problem(wind), on_piece))
+    }
+
     fn problem<'a>(&'a self, wind: &'a WindPath) -> Problem<'a> {
         Problem {
             sea: self.sea.as_ref(),
@@ -73,10 +82,24 @@ pub struct Member {
     pub positions: Vec<Vec2>,
     /// Position at the times that maps sample, while it was adrift; empty once it is counted.
     pub track: Vec<Vec2>,
-    /// Time of the first entry of each target, NaN where there was none.
+    /// Time of the first entry of each target, NaN where there was none; empty if it failed.
     pub entries: Vec<f64>,
     /// Why it failed.
     pub failure: Option<DriftError>,
+}
+
+impl Member {
+    /// One that could not be followed at all.
+    pub(crate) fn failed(error: DriftError) -> Self {
+        Self {
+            status: Status::Failed,
+            stranding: None,
+            positions: Vec::new(),
+            track: Vec::new(),
+            entries: Vec::new(),
+            failure: Some(error),
+        }
+    }
 }
 
 /// What a trajectory holds at each output time.
@@ -92,15 +115,13 @@ pub struct Trajectory {
     pub work: Work,
 }
 
-/// Follows one body through the whole run under a given wind, whatever coast there is.
-pub fn trajectory(
-    scenario: &Scenario,
-    wind: &WindPath,
-    solver: &Solver,
+/// Records what `follow` hands over, a body's motion through the whole run, at some times.
+pub(crate) fn trajectory(
     times: &[f64],
+    follow: impl FnOnce(OnPiece) -> Result<Work, DriftError>,
 ) -> Result<Trajectory, DriftError> {
     let mut out = Trajectory::default();
-    let work = solver.follow(scenario.problem(wind), &mut |piece| {
+    let work = follow(&mut |piece| {
         while let Some(t) = times.get(out.position.len()).filter(|t| **t <= piece.span().1) {
             out.position.push(piece.position(*t)?);
             out.velocity.push(piece.velocity(*t)?);
@@ -112,8 +133,11 @@ pub fn trajectory(
 }
 
 /// Follows one body until it strands; what goes wrong on the way becomes its status.
-fn member(scenario: &Scenario, wind: &WindPath, solver: &Solver, mut log: Logbook) -> Member {
-    let run = solver.follow(scenario.problem(wind), &mut |piece| log.look(piece, true));
+pub(crate) fn member(
+    mut log: Logbook,
+    follow: impl FnOnce(OnPiece) -> Result<Work, DriftError>,
+) -> Member {
+    let run = follow(&mut |piece| log.look(piece, true));
     log.close(run.map(|_| ()))
 }
 
@@ -133,7 +157,8 @@ pub enum Winds<'a> {
 }
 
 impl Winds<'_> {
-    fn path(
+    /// Wind path of one member, up to `end` if it is drawn.
+    pub(crate) fn path(
         &self,
         member: u64,
         end: f64,
@@ -155,11 +180,7 @@ pub struct Ensemble<'a> {
     scenario: &'a Scenario,
     winds: &'a Winds<'a>,
     solver: Solver,
-    /// Output times, and the number of members that record their positions there.
-    times: &'a [f64],
-    keep: u64,
-    maps: Option<&'a Maps>,
-    targets: &'a [&'a Coast],
+    observed: Observed<'a>,
     end: f64,
     sampling: Sampling,
     side_by_side: Option<SideBySide<'a>>,
@@ -186,7 +207,7 @@ impl<'a> Ensemble<'a> {
         winds: &'a Winds<'a>,
         solver: Solver,
         steps_per_tide: Option<f64>,
-        (times, keep): (&'a [f64], u64),
+        outputs: (&'a [f64], u64),
     ) -> Result<Self, DriftError> {
         let sampling = match solver.model {
             Model::MeanFlow { order: 1 } => Sampling::Coarse,
@@ -221,24 +242,13 @@ impl<'a> Ensemble<'a> {
                 ));
             }
         };
-        let (maps, targets) = (None, &[][..]);
-        Ok(Self {
-            scenario,
-            winds,
-            solver,
-            times,
-            keep,
-            maps,
-            targets,
-            end,
-            sampling,
-            side_by_side,
-        })
+        let observed = Observed { outputs, ..Observed::default() };
+        Ok(Self { scenario, winds, solver, observed, end, sampling, side_by_side })
     }
 
     /// Counts the members on maps, and notes when they first enter each target.
-    pub fn observed(self, maps: Option<&'a Maps>, targets: &'a [&'a Coast]) -> Self {
-        Self { maps, targets, ..self }
+    pub fn observed(self, observed: Observed<'a>) -> Self {
+        Self { observed, ..self }
     }
 
     /// Follows the members of a range, in the order of their indices; groups of [`WIDTH`] share
@@ -252,12 +262,7 @@ impl<'a> Ensemble<'a> {
                 let range =
                     (group * width).max(members.start)..((group + 1) * width).min(members.end);
                 let mut members = self.group(range);
-                if let Some(maps) = self.maps {
-                    for member in &mut members {
-                        maps.count(member);
-                        member.track = Vec::new();
-                    }
-                }
+                members.iter_mut().for_each(|member| self.observed.count(member));
                 members
             })
             .collect();
@@ -274,20 +279,17 @@ impl<'a> Ensemble<'a> {
     }
 
     fn log(&self, member: u64) -> Logbook<'a> {
-        Logbook::new(Watch {
-            coast: self.scenario.coast.as_ref(),
-            targets: self.targets,
-            period: self.scenario.sea.period(),
-            outputs: if member < self.keep { self.times } else { &[] },
-            samples: self.maps.map_or(&[], |maps| maps.grid().samples()),
-        })
+        let Scenario { coast, sea, .. } = self.scenario;
+        self.observed.log(member, (coast.as_ref(), sea.period()), 0.0)
     }
 
     /// Follows one member by the adaptive integrator.
     fn alone(&self, index: u64) -> Member {
         match self.winds.path(index, self.end, self.sampling) {
-            Ok(path) => member(self.scenario, &path, &self.solver, self.log(index)),
-            Err(error) => self.log(index).close(Err(error)),
+            Ok(path) => member(self.log(index), |on_piece| {
+                self.solver.follow(self.scenario.problem(&path), on_piece)
+            }),
+            Err(error) => Member::failed(error),
         }
     }
 
@@ -324,11 +326,11 @@ impl<'a> Ensemble<'a> {
         let mut alone = [false; WIDTH];
         let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| self.log(index(place)));
         let Scenario { sea, coast, .. } = self.scenario;
-        let bounded = coast.is_some() || !self.targets.is_empty();
+        let bounded = coast.is_some() || !self.observed.targets.is_empty();
         let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
             return members.map(|index| self.alone(index)).collect();
         };
-        let watched = bounded || members.start < self.keep || self.maps.is_some();
+        let watched = bounded || self.observed.watches(members.start);
         let together = if watched { 1 } else { UNWATCHED_STEPS };
         let mut n = 0;
         while n < shared.grid.steps() {

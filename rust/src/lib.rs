@@ -17,9 +17,11 @@
 //! | [`dopri5`] | adaptive Dormand–Prince stepping with dense output |
 //! | [`model`] | the full system, the paper's averaged system, the mean-flow expansion |
 //! | [`coast`] | first crossing of a trajectory with a coast |
+//! | [`geometry`] | plane and sphere |
 //! | [`lanes`] | numbers of several members side by side, for vector instructions |
 //! | [`logbook`] | what is written down of one member |
-//! | [`ensemble`] | members followed in parallel |
+//! | [`ensemble`] | members followed in parallel: the paper's body |
+//! | [`fleet`] | the same for bodies of any kind, each with its own release |
 //! | [`statistics`] | maps counted meanwhile |
 
 pub mod coast;
@@ -27,6 +29,8 @@ pub mod dopri5;
 pub mod ensemble;
 pub mod error;
 pub mod field;
+pub mod fleet;
+pub mod geometry;
 pub mod lanes;
 pub mod logbook;
 pub mod model;

@@ -13,11 +13,16 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::coast::{Coast as CoreCoast, Side};
-use crate::ensemble::{self, Ensemble, Winds};
+use crate::ensemble::{self, Ensemble, Member, Trajectory, Winds};
 use crate::error::DriftError;
 use crate::field::academic::{AcademicSea, SeparableCurrent};
-use crate::field::gridded::{Axis, GriddedSea};
-use crate::field::{SeaField, Vec2};
+use crate::field::gridded::{Axis, GriddedSea, Tide};
+use crate::field::sum::SumOfSeas;
+use crate::field::{Harmonic, SeaField, Vec2};
+use crate::fleet::Fleet as CoreFleet;
+use crate::geometry::Geometry;
+use crate::logbook::Observed;
+use crate::model::body::{Body, Line, Release};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
 use crate::statistics::{Cells, MapGrid, Maps as CoreMaps};
 use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
@@ -318,6 +323,18 @@ fn separable(
     })
 }
 
+fn gridded_sea(
+    period: f64,
+    axes: [(f64, f64, usize); 3],
+    tide: Tide,
+    coefficients: &PyReadonlyArray4<Complex64>,
+) -> PyResult<Sea> {
+    let channels = coefficients.shape()[3];
+    let values = coefficients.as_array().iter().copied().collect();
+    let axes = axes.map(|(start, step, count)| Axis { start, step, count });
+    Ok(Sea(Arc::new(GriddedSea::new(period, axes, tide, channels, values)?)))
+}
+
 #[pymethods]
 impl Sea {
     #[staticmethod]
@@ -340,11 +357,28 @@ impl Sea {
         tide_harmonics: usize,
         coefficients: PyReadonlyArray4<Complex64>,
     ) -> PyResult<Self> {
-        let channels = coefficients.shape()[3];
-        let values = coefficients.as_array().iter().copied().collect();
-        let axes = axes.map(|(start, step, count)| Axis { start, step, count });
-        let sea = GriddedSea::new(period, axes, tide_harmonics, channels, values)?;
-        Ok(Self(Arc::new(sea)))
+        gridded_sea(period, axes, Tide::Harmonics(tide_harmonics), &coefficients)
+    }
+
+    /// The same, the tide's channels being those of constituents (frequency, species).
+    #[staticmethod]
+    fn constituents(
+        period: f64,
+        axes: [(f64, f64, usize); 3],
+        constituents: Vec<(f64, u32)>,
+        coefficients: PyReadonlyArray4<Complex64>,
+    ) -> PyResult<Self> {
+        let lines = (constituents.into_iter())
+            .map(|(omega, species)| Harmonic { omega, species, ..Harmonic::default() })
+            .collect();
+        gridded_sea(period, axes, Tide::Constituents(lines), &coefficients)
+    }
+
+    /// Several seas at once; the first has the tide's period.
+    #[staticmethod]
+    fn sum(seas: Vec<Py<Sea>>) -> PyResult<Self> {
+        let parts = seas.iter().map(|sea| sea.get().0.clone()).collect();
+        Ok(Self(Arc::new(SumOfSeas::new(parts)?)))
     }
 
     fn velocity<'py>(
@@ -396,8 +430,8 @@ impl Coast {
 #[pyclass(frozen)]
 struct Maps(CoreMaps);
 
-/// Present, arrived (of one more interval than map times), outside, stranded.
-type Counted<'py> = [Bound<'py, PyArray1<u32>>; 4];
+/// Present, arrived (of one more interval than map times), outside, stranded, waiting.
+type Counted<'py> = [Bound<'py, PyArray1<u32>>; 5];
 
 #[pymethods]
 impl Maps {
@@ -418,7 +452,7 @@ impl Maps {
     /// Numbers of members up to now, flat.
     fn counts<'py>(&self, py: Python<'py>) -> Counted<'py> {
         let counts = py.detach(|| self.0.total());
-        [counts.present, counts.arrived, counts.outside, counts.stranded]
+        [counts.present, counts.arrived, counts.outside, counts.stranded, counts.waiting]
             .map(|values| values.into_pyarray(py))
     }
 }
@@ -503,15 +537,8 @@ impl Scenario {
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
         let times = times.as_array().to_vec();
-        let out = py.detach(|| ensemble::trajectory(&self.0, &wind.0, &solver.0, &times))?;
-        let (mean_position, mean_velocity): (Vec<_>, Vec<_>) = out.mean.into_iter().unzip();
-        let arrays = [
-            columns(py, &out.position)?,
-            columns(py, &out.velocity)?,
-            columns(py, &mean_position)?,
-            columns(py, &mean_velocity)?,
-        ];
-        Ok((arrays, [out.work.accepted, out.work.rejected, out.work.evaluations]))
+        let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
+        trajectory_arrays(py, out)
     }
 
     /// Members from `first` on under winds drawn for (seed, member), under the paths of those
@@ -536,60 +563,188 @@ impl Scenario {
         maps: Option<&Maps>,
     ) -> PyResult<Option<String>> {
         let times = times.as_array().to_vec();
-        let paths: Vec<&CorePath> = match &winds {
-            GivenWinds::Paths(paths) => paths.iter().map(|path| &path.get().0).collect(),
-            _ => Vec::new(),
-        };
-        let winds = match &winds {
-            GivenWinds::Drawn(generator, seed) => {
-                Winds::Drawn { generator: &generator.get().0, seed: *seed }
-            }
-            GivenWinds::Paths(_) => Winds::Given(&paths),
-            GivenWinds::InMemory(paths) => Winds::InMemory(&paths.get().0),
-        };
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
-        let (mut status, mut stranding_time, mut place, mut position, mut entry_time) = into;
-        let (status, stranding_time) = (status.as_slice_mut()?, stranding_time.as_slice_mut()?);
-        let mut place = place.as_array_mut();
-        let mut position = position.as_array_mut();
-        let mut entry_time = entry_time.as_array_mut();
-        let (members, outputs) = (first..first + status.len() as u64, (times.as_slice(), keep));
+        let paths = winds.paths();
+        let winds = winds.core(&paths);
+        let outputs = (times.as_slice(), keep);
+        let targets = shapes(&targets);
+        let observed = Observed { outputs, maps: maps.map(|maps| &maps.0), targets: &targets };
         let ensemble = py
             .detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?
-            .observed(maps.map(|maps| &maps.0), &targets);
-        let mut size = BATCH * threads as u64;
-        let mut failure = None;
-        let mut row = 0;
-        let mut at = members.start;
-        while at < members.end {
-            let batch = at..(at + size).min(members.end);
-            at = batch.end;
-            let began = Instant::now();
-            for member in py.detach(|| pool.install(|| ensemble.follow(batch))) {
-                status[row] = member.status as i8;
-                let (t, x) = member.stranding.unwrap_or((f64::NAN, Vec2::repeat(f64::NAN)));
-                stranding_time[row] = t;
-                (place[[row, 0]], place[[row, 1]]) = (x.x, x.y);
-                for (k, x) in member.positions.iter().enumerate() {
-                    (position[[row, k, 0]], position[[row, k, 1]]) = (x.x, x.y);
-                }
-                for (k, t) in member.entries.iter().enumerate() {
-                    entry_time[[row, k]] = *t;
-                }
-                failure = failure.or(member.failure.map(|error| error.to_string()));
-                row += 1;
-            }
-            py.check_signals()?;
-            if began.elapsed() < SIGNALS_LOOKED_FOR {
-                size *= 2;
-            }
-        }
-        Ok(failure)
+            .observed(observed);
+        run_batches(py, first, into, threads, |batch| ensemble.follow(batch))
     }
+}
+
+/// Bodies of any kind, each with its release.
+#[pyclass(frozen)]
+struct Fleet(CoreFleet);
+
+#[pymethods]
+impl Fleet {
+    /// On the plane, or on the sphere about a reference point of some latitude. Member `first + k`
+    /// is released at `times[k]` from `positions[k]`, with the water's velocity if none is given.
+    /// A row of `bodies`: response time, slip; slope and offset of the leeway downwind, crosswind
+    /// and crosswind when jibed; wind-driven current along the wind and to its right.
+    #[new]
+    #[pyo3(signature = (sea, coast, latitude, end, first, times, positions, velocities, bodies, jibing_rate, seed))]
+    #[expect(clippy::too_many_arguments, reason = "what names a fleet")]
+    fn new(
+        sea: &Sea,
+        coast: Option<&Coast>,
+        latitude: Option<f64>,
+        end: f64,
+        first: u64,
+        times: PyReadonlyArray1<f64>,
+        positions: PyReadonlyArray2<f64>,
+        velocities: Option<PyReadonlyArray2<f64>>,
+        bodies: PyReadonlyArray2<f64>,
+        jibing_rate: f64,
+        seed: u64,
+    ) -> PyResult<Self> {
+        let positions = points("positions", &positions)?;
+        let velocities = velocities.map(|v| points("velocities", &v)).transpose()?;
+        let count = positions.len();
+        if times.len() != count || velocities.as_ref().is_some_and(|v| v.len() != count) {
+            let accepted = format!("one for each of the {count} positions");
+            return Err(DriftError::invalid("times", times.len(), accepted).into());
+        }
+        if bodies.shape()[1] != 10 {
+            return Err(DriftError::invalid("bodies", bodies.shape()[1], "10 columns").into());
+        }
+        let releases = (times.as_array().iter().zip(positions).enumerate())
+            .map(|(k, (time, position))| Release {
+                time: *time,
+                position,
+                velocity: velocities.as_ref().map(|v| v[k]),
+            })
+            .collect();
+        let bodies = (bodies.as_array().outer_iter())
+            .map(|row| {
+                let line = |k: usize| Line { slope: row[k], offset: row[k + 1] };
+                Body {
+                    response: row[0],
+                    slip: row[1],
+                    downwind: line(2),
+                    crosswind: line(4),
+                    jibed: line(6),
+                    surface_current: [row[8], row[9]],
+                }
+            })
+            .collect();
+        let fleet = CoreFleet {
+            sea: sea.0.clone(),
+            coast: coast.map(|coast| coast.0.clone()),
+            geometry: latitude.map_or(Geometry::Plane, |latitude| Geometry::Sphere { latitude }),
+            end: crate::error::positive("end", end)?,
+            first,
+            releases,
+            bodies,
+            jibing_rate,
+            seed,
+        };
+        Ok(Self(fleet.validated()?))
+    }
+
+    /// As `Scenario.trajectory`, of the first body.
+    fn trajectory<'py>(
+        &self,
+        py: Python<'py>,
+        wind: &WindPath,
+        solver: &Solver,
+        times: PyReadonlyArray1<f64>,
+    ) -> PyResult<Followed<'py>> {
+        let times = times.as_array().to_vec();
+        let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
+        trajectory_arrays(py, out)
+    }
+
+    /// As `Scenario.run`.
+    #[pyo3(signature = (winds, solver, first, times, keep, into, threads, targets, maps=None))]
+    #[expect(clippy::too_many_arguments, reason = "what names a run")]
+    fn run(
+        &self,
+        py: Python,
+        winds: GivenWinds,
+        solver: &Solver,
+        first: u64,
+        times: PyReadonlyArray1<f64>,
+        keep: u64,
+        into: Fates,
+        threads: usize,
+        targets: Vec<Py<Coast>>,
+        maps: Option<&Maps>,
+    ) -> PyResult<Option<String>> {
+        let times = times.as_array().to_vec();
+        let paths = winds.paths();
+        let winds = winds.core(&paths);
+        let targets = shapes(&targets);
+        let outputs = (times.as_slice(), keep);
+        let observed = Observed { outputs, maps: maps.map(|maps| &maps.0), targets: &targets };
+        run_batches(py, first, into, threads, |batch| {
+            self.0.follow(&winds, &solver.0, observed, batch)
+        })
+    }
+}
+
+fn shapes(coasts: &[Py<Coast>]) -> Vec<&CoreCoast> {
+    coasts.iter().map(|coast| &coast.get().0).collect()
+}
+
+/// Follows as many members from `first` on as there are rows for their fates, in batches, with a
+/// look at Python's signals between them. Gives the first failure.
+fn run_batches(
+    py: Python,
+    first: u64,
+    (mut status, mut stranding_time, mut place, mut position, mut entry_time): Fates,
+    threads: usize,
+    follow: impl Fn(std::ops::Range<u64>) -> Vec<Member> + Sync,
+) -> PyResult<Option<String>> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+    let (status, stranding_time) = (status.as_slice_mut()?, stranding_time.as_slice_mut()?);
+    let mut place = place.as_array_mut();
+    let mut position = position.as_array_mut();
+    let mut entry_time = entry_time.as_array_mut();
+    let mut size = BATCH * threads as u64;
+    let mut failure = None;
+    let mut row = 0;
+    while row < status.len() {
+        let at = first + row as u64;
+        let batch = at..(at + size).min(first + status.len() as u64);
+        let began = Instant::now();
+        for member in py.detach(|| pool.install(|| follow(batch))) {
+            status[row] = member.status as i8;
+            let (t, x) = member.stranding.unwrap_or((f64::NAN, Vec2::repeat(f64::NAN)));
+            stranding_time[row] = t;
+            (place[[row, 0]], place[[row, 1]]) = (x.x, x.y);
+            for (k, x) in member.positions.iter().enumerate() {
+                (position[[row, k, 0]], position[[row, k, 1]]) = (x.x, x.y);
+            }
+            for (k, t) in member.entries.iter().enumerate() {
+                entry_time[[row, k]] = *t;
+            }
+            failure = failure.or(member.failure.map(|error| error.to_string()));
+            row += 1;
+        }
+        py.check_signals()?;
+        if began.elapsed() < SIGNALS_LOOKED_FOR {
+            size *= 2;
+        }
+    }
+    Ok(failure)
+}
+
+fn trajectory_arrays(py: Python<'_>, out: Trajectory) -> PyResult<Followed<'_>> {
+    let (mean_position, mean_velocity): (Vec<_>, Vec<_>) = out.mean.into_iter().unzip();
+    let arrays = [
+        columns(py, &out.position)?,
+        columns(py, &out.velocity)?,
+        columns(py, &mean_position)?,
+        columns(py, &mean_velocity)?,
+    ];
+    Ok((arrays, [out.work.accepted, out.work.rejected, out.work.evaluations]))
 }
 
 /// Winds of an ensemble, as Python hands them over.
@@ -598,6 +753,26 @@ enum GivenWinds {
     Drawn(Py<WindGenerator>, u64),
     Paths(Vec<Py<WindPath>>),
     InMemory(Py<WindPaths>),
+}
+
+impl GivenWinds {
+    /// The paths, where they are given one by one.
+    fn paths(&self) -> Vec<&CorePath> {
+        match self {
+            Self::Paths(paths) => paths.iter().map(|path| &path.get().0).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    fn core<'a>(&'a self, paths: &'a [&'a CorePath]) -> Winds<'a> {
+        match self {
+            Self::Drawn(generator, seed) => {
+                Winds::Drawn { generator: &generator.get().0, seed: *seed }
+            }
+            Self::Paths(_) => Winds::Given(paths),
+            Self::InMemory(paths) => Winds::InMemory(&paths.get().0),
+        }
+    }
 }
 
 /// Position, velocity, slow position and velocity; steps accepted, rejected, and evaluations.
@@ -618,7 +793,7 @@ type Fates<'py> = (
 mod _core {
     #[pymodule_export]
     use super::{
-        Bootstrap, Coast, Maps, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths,
+        Bootstrap, Coast, Fleet, Maps, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths,
     };
 
     #[pymodule_export]

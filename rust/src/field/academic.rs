@@ -37,10 +37,10 @@ impl SeparableCurrent {
     }
 
     /// Amplitude of harmonic `j`: `−i s_j x_k strength(t)`, since `sin φ = Re[−i e^{iφ}]`.
-    fn harmonics(&self, t: f64, x: Vec2) -> impl Iterator<Item = Harmonic> {
+    fn harmonics(&self, t: f64, omega: f64, x: Vec2) -> impl Iterator<Item = Harmonic> {
         let (strength, rate) = self.strength(t);
         let (axis, position) = (self.axis, x[self.axis]);
-        self.sines.iter().map(move |s| {
+        (1..).zip(&self.sines).map(move |(j, s)| {
             let unit = s.map(|component| Complex64::new(0.0, -component));
             let mut gradient = CMat2::zeros();
             gradient.set_column(axis, &super::scaled(unit, strength.into()));
@@ -48,7 +48,7 @@ impl SeparableCurrent {
                 amplitude: super::scaled(unit, (strength * position).into()),
                 gradient,
                 rate: super::scaled(unit, (rate * position).into()),
-                hessian: [CMat2::zeros(); 2],
+                ..Harmonic::multiple(j, omega)
             }
         })
     }
@@ -124,10 +124,10 @@ impl SeaField for AcademicSea {
 
     fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
         out.tide.clear();
-        out.tide.extend(self.tide.harmonics(t, x));
+        out.tide.extend(self.tide.harmonics(t, self.omega(), x));
         out.residual.clear();
         out.residual.push(Harmonic::default());
-        out.residual.extend(self.residual.harmonics(t, x));
+        out.residual.extend(self.residual.harmonics(t, self.omega(), x));
         Ok(())
     }
 

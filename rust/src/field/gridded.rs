@@ -7,7 +7,9 @@
 use nalgebra::Matrix2;
 use num_complex::Complex64;
 
-use super::{FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase, phasors};
+use smallvec::SmallVec;
+
+use super::{FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase};
 use crate::error::{DriftError, positive};
 
 /// Regular axis of `count` grid points; an axis of one point is constant.
@@ -94,6 +96,15 @@ impl Axis {
     }
 }
 
+/// How the harmonics of a tide on a grid oscillate.
+#[derive(Debug, Clone)]
+pub enum Tide {
+    /// So many multiples of its frequency.
+    Harmonics(usize),
+    /// Constituents of frequencies and species of their own; amplitudes are not read.
+    Constituents(Vec<Harmonic>),
+}
+
 /// A sea given by its harmonics on a regular grid in x, y and (slow) time.
 #[derive(Debug, Clone)]
 pub struct GriddedSea {
@@ -101,7 +112,10 @@ pub struct GriddedSea {
     x: Axis,
     y: Axis,
     time: Axis,
+    /// Frequency and species of each harmonic: the tide's, then the residual's from its mean on.
+    lines: Vec<Harmonic>,
     tide_harmonics: usize,
+    periodic: bool,
     /// Complex channels per grid point: two components for each tide, then residual, harmonic.
     channels: usize,
     /// Spline coefficients, indexed `[time][y][x][channel]`.
@@ -112,18 +126,23 @@ pub struct GriddedSea {
 
 impl GriddedSea {
     /// Takes spline coefficients indexed `[time][y][x][channel]`, where each axis of `n > 1` grid
-    /// points has `n + 2` coefficients; channels are (u, v) of each tide harmonic `1…J`, then
-    /// (u, v) of the residual's mean and of its harmonics.
+    /// points has `n + 2` coefficients; channels are (u, v) of each tide harmonic, then (u, v) of
+    /// the residual's mean and of its harmonics. The tide's harmonics are multiples of its
+    /// frequency, or `constituents` with frequencies and species of their own.
     pub fn new(
         period: f64,
         [x, y, time]: [Axis; 3],
-        tide_harmonics: usize,
+        tide: Tide,
         channels: usize,
         coefficients: Vec<Complex64>,
     ) -> Result<Self, DriftError> {
         positive("period", period)?;
         let (x, y) = (x.validated("x axis")?, y.validated("y axis")?);
         let time = time.validated("time axis")?;
+        let (tide_harmonics, periodic) = match &tide {
+            Tide::Harmonics(count) => (*count, true),
+            Tide::Constituents(constituents) => (constituents.len(), false),
+        };
         let expected = x.coefficients() * y.coefficients() * time.coefficients() * channels;
         if !channels.is_multiple_of(2) || channels < 2 * tide_harmonics {
             return Err(DriftError::invalid(
@@ -142,12 +161,28 @@ impl GriddedSea {
         if let Some(bad) = coefficients.iter().find(|c| !c.is_finite()) {
             return Err(DriftError::invalid("coefficients", bad, "they must be finite"));
         }
+        let omega = std::f64::consts::TAU / period;
+        let mut lines = match tide {
+            Tide::Harmonics(count) => (1..=count).map(|j| Harmonic::multiple(j, omega)).collect(),
+            Tide::Constituents(constituents) => constituents,
+        };
+        if let Some(bad) = lines.iter().find(|line| !(line.omega.is_finite() && line.omega > 0.0)) {
+            return Err(DriftError::invalid(
+                "constituent",
+                bad.omega,
+                "it needs a frequency above 0",
+            ));
+        }
+        let residuals = channels / 2 - tide_harmonics;
+        lines.extend((0..residuals).map(|j| Harmonic::multiple(j, omega)));
         let mut sea = Self {
             period,
             x,
             y,
             time,
+            lines,
             tide_harmonics,
+            periodic,
             channels,
             coefficients,
             node_bounds: Vec::new(),
@@ -221,13 +256,20 @@ impl SeaField for GriddedSea {
         self.period
     }
 
+    fn slowest(&self) -> f64 {
+        let tide = self.lines[..self.tide_harmonics].iter();
+        tide.map(|line| line.omega).fold(self.omega(), f64::min)
+    }
+
+    fn is_periodic(&self) -> bool {
+        self.periodic
+    }
+
     fn velocity(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
         let stencils = self.stencils(t, x)?;
         let [sx, sy, st] = &stencils;
-        let tide: Vec<Complex64> = phasors(self.omega() * t).take(self.tide_harmonics).collect();
-        let residual = std::iter::once(Complex64::from(1.0)).chain(phasors(self.omega() * t));
-        let factors: Vec<Complex64> =
-            tide.into_iter().chain(residual).take(self.channels / 2).collect();
+        let factors: SmallVec<[Complex64; 8]> =
+            self.lines.iter().map(|line| line.phasor(t)).collect();
         let mut velocity = Vec2::zeros();
         for ((i, j, k), node) in self.nodes(&stencils) {
             let weight = sx.value[i] * sy.value[j] * st.value[k];
@@ -241,10 +283,9 @@ impl SeaField for GriddedSea {
     fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
         let stencils = self.stencils(t, x)?;
         let [sx, sy, st] = &stencils;
-        out.tide.clear();
-        out.tide.resize(self.tide_harmonics, Harmonic::default());
-        out.residual.clear();
-        out.residual.resize(self.channels / 2 - self.tide_harmonics, Harmonic::default());
+        let (tide, residual) = self.lines.split_at(self.tide_harmonics);
+        out.tide = SmallVec::from_slice(tide);
+        out.residual = SmallVec::from_slice(residual);
         for ((i, j, k), node) in self.nodes(&stencils) {
             let at = st.value[k];
             let value = sx.value[i] * sy.value[j] * at;
@@ -292,7 +333,7 @@ impl SeaField for GriddedSea {
 
 #[cfg(test)]
 mod tests {
-    use super::super::real;
+    use super::super::{phasors, real};
     use super::*;
 
     /// Two tide harmonics and a residual with one harmonic, coefficients of no special form.
@@ -303,7 +344,13 @@ mod tests {
         let value = |k: usize| (0.37 * k as f64).sin();
         let coefficients =
             (0..count).map(|k| Complex64::new(value(k), value(k * k % 1009))).collect();
-        GriddedSea::new(0.1, [axis(7), axis(6), axis(5)], 2, channels, coefficients)
+        GriddedSea::new(
+            0.1,
+            [axis(7), axis(6), axis(5)],
+            Tide::Harmonics(2),
+            channels,
+            coefficients,
+        )
     }
 
     #[test]

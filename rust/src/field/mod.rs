@@ -1,12 +1,14 @@
 //! Sea-surface velocity in one representation, two views.
 //!
-//! The sea moves with `m = M + n`: the tide `M = Σ_j Re[Z_j(t, x) e^{ijωt}]`, `j = 1…J`, of zero
-//! mean over a tide, and the weaker residual current `n = R(t, x) + Σ_j Re[P_j(t, x) e^{ijωt}]`
-//! (the paper's `εN`). `ω = 2π/T`. The full model asks for the instantaneous velocity, the
-//! averaged models for the slowly varying coefficients: equations.md (2), (3).
+//! The sea moves with `m = M + n`: the tide `M = Σ_k Re[Z_k(t, x) e^{iω_k t}]`, of zero mean over
+//! a tide, and the weaker residual current `n = R(t, x) + Σ_j Re[P_j(t, x) e^{ijωt}]` (the paper's
+//! `εN`). `ω = 2π/T`; the tide's frequencies `ω_k` are its multiples, or those of the constituents
+//! of a real tide. The full model asks for the instantaneous velocity, the averaged models for the
+//! slowly varying coefficients: equations.md (2), (3).
 
 pub mod academic;
 pub mod gridded;
+pub mod sum;
 
 use nalgebra::{Matrix2, Vector2};
 use num_complex::Complex64;
@@ -24,6 +26,10 @@ pub type CMat2 = Matrix2<Complex64>;
 /// One complex amplitude with the derivatives that the averaged models need.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Harmonic {
+    /// Angular frequency `ω_k` [1/time]; 0 for a mean.
+    pub omega: f64,
+    /// About how many cycles a day (or a tide) it has: the constituents of one species beat slowly.
+    pub species: u32,
     /// Amplitude `Z_j` [length/time].
     pub amplitude: CVec2,
     /// Jacobian `∇Z_j` [1/time].
@@ -38,7 +44,8 @@ pub struct Harmonic {
 /// harmonics needs no allocation.
 #[derive(Debug, Clone, Default)]
 pub struct Harmonics {
-    /// Tide: entry `j − 1` is harmonic `j`.
+    /// Tide: one entry for each constituent; where the tide is periodic, entry `j − 1` is harmonic
+    /// `j` of its frequency.
     pub tide: SmallVec<[Harmonic; 4]>,
     /// Residual current: entry 0 is the mean (real), entry `j` harmonic `j`.
     pub residual: SmallVec<[Harmonic; 4]>,
@@ -48,7 +55,7 @@ pub struct Harmonics {
 /// coast is out of reach.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct FieldBounds {
-    /// `Σ_j |Z_j|`.
+    /// `Σ_k |Z_k|`.
     pub tide: f64,
     /// `Σ_j ‖∇Z_j‖`.
     pub gradient: f64,
@@ -77,9 +84,54 @@ pub trait SeaField: Send + Sync {
         false
     }
 
+    /// Whether the tide's frequencies are the multiples `jω`, in their order, so that one period
+    /// holds it all.
+    fn is_periodic(&self) -> bool {
+        true
+    }
+
+    /// Lowest frequency [1/time] of the tide: what bounds its excursion.
+    fn slowest(&self) -> f64 {
+        self.omega()
+    }
+
     /// Angular frequency `ω` [1/time] of the tide.
     fn omega(&self) -> f64 {
         std::f64::consts::TAU / self.period()
+    }
+}
+
+impl Harmonic {
+    /// Harmonic `j` of the frequency `omega`, of amplitude 0.
+    pub fn multiple(j: usize, omega: f64) -> Self {
+        Self { omega: j as f64 * omega, species: j as u32, ..Self::default() }
+    }
+
+    /// Adds the amplitude and derivatives of another of the same frequency.
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.omega = other.omega;
+        self.species = other.species;
+        self.amplitude += other.amplitude;
+        self.gradient += other.gradient;
+        self.rate += other.rate;
+        for (sum, term) in self.hessian.iter_mut().zip(&other.hessian) {
+            *sum += term;
+        }
+    }
+
+    /// `e^{iω_k t}`.
+    pub fn phasor(&self, t: f64) -> Complex64 {
+        Complex64::cis(self.omega * t)
+    }
+
+    /// `1/(iω_k)`: turns the amplitude into that of the zero-mean antiderivative.
+    pub fn antiderivative(&self) -> Complex64 {
+        Complex64::new(0.0, -1.0 / self.omega)
+    }
+
+    /// Amplitude of the excursion `∫~ dt`.
+    pub fn excursion(&self) -> CVec2 {
+        scaled(self.amplitude, self.antiderivative())
     }
 }
 

@@ -77,7 +77,7 @@ impl Carrier {
     fn at(self, sea: &dyn SeaField, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
         match self {
             Self::Velocity => sea.velocity(t, x),
-            Self::MeanDrift => Ok(mean_drift(&harmonics(sea, t, x)?, sea.omega())),
+            Self::MeanDrift => Ok(mean_drift(&harmonics(sea, t, x)?, t)),
         }
     }
 }

@@ -7,12 +7,13 @@ use num_complex::Complex64;
 use smallvec::{SmallVec, smallvec};
 
 use super::{
-    OnPiece, Piece, Problem, Reach, Solver, WindIntegrals, antiderivative, excursion, harmonics,
-    mean_drift,
+    OnPiece, Piece, Problem, Reach, Solver, WindIntegrals, harmonics, mean_drift, require_periodic,
 };
 use crate::dopri5::{Step, Work};
 use crate::error::DriftError;
-use crate::field::{CMat2, CVec2, Harmonics, Vec2, complex, conj, in_phase, phasors, real, scaled};
+use crate::field::{
+    CMat2, CVec2, Harmonic, Harmonics, SeaField, Vec2, complex, conj, in_phase, real, scaled,
+};
 
 /// Longest step in tide periods: about two synoptic steps of the wind.
 pub(super) const MAX_STEP: f64 = 1.0;
@@ -24,27 +25,26 @@ const MAX_ITERATIONS: usize = 100;
 struct Expansion {
     /// `f₁ + f₂`: tidal Stokes drift, residual current and their corrections.
     drift: Vec2,
-    /// Amplitudes of `a₁ + a₂`; entry `l − 1` belongs to `e^{ilωt}`.
-    oscillation: Amplitudes,
+    /// Frequencies and amplitudes of `a₁ + a₂`.
+    oscillation: SmallVec<[(f64, CVec2); 4]>,
 }
 
 impl Expansion {
-    fn new(order: u8, at: &Harmonics, omega: f64, drag: f64, forcing: Vec2) -> Self {
-        let mut oscillation: Amplitudes = excursion(&at.tide, omega).collect();
-        let mut drift = mean_drift(at, omega);
+    fn new(order: u8, at: &Harmonics, t: f64, omega: f64, drag: f64, forcing: Vec2) -> Self {
+        let mut oscillation: SmallVec<_> =
+            at.tide.iter().map(|h| (h.omega, h.excursion())).collect();
+        let mut drift = mean_drift(at, t);
         if order == 2 {
-            let second = second_oscillation(at, &oscillation, omega, drag, forcing);
-            drift += second_drift(at, &oscillation, &second);
-            oscillation.resize(second.len(), CVec2::zeros());
-            for (a, b) in oscillation.iter_mut().zip(&second) {
-                *a += b;
-            }
+            let first: Amplitudes = at.tide.iter().map(Harmonic::excursion).collect();
+            let second = second_oscillation(at, &first, omega, drag, forcing);
+            drift += second_drift(at, &first, &second);
+            oscillation.extend((1..).zip(second).map(|(l, a)| (f64::from(l) * omega, a)));
         }
         Self { drift, oscillation }
     }
 
-    fn displacement(&self, omega_t: f64) -> Vec2 {
-        self.oscillation.iter().zip(phasors(omega_t)).map(|(a, phasor)| in_phase(*a, phasor)).sum()
+    fn displacement(&self, t: f64) -> Vec2 {
+        self.oscillation.iter().map(|(omega, a)| in_phase(*a, Complex64::cis(omega * t))).sum()
     }
 }
 
@@ -69,12 +69,15 @@ fn second_oscillation(
             }
         }
         let slow = tide.rate + tide.gradient * complex(forcing);
-        rate[j - 1] -= scaled(first[j - 1], drag.into()) + scaled(slow, antiderivative(j, omega));
+        rate[j - 1] -= scaled(first[j - 1], drag.into()) + scaled(slow, tide.antiderivative());
     }
     for (j, residual) in (1..).zip(at.residual.iter().skip(1)) {
         rate[j - 1] += residual.amplitude;
     }
-    (1..).zip(rate).map(|(l, rate)| scaled(rate, antiderivative(l, omega))).collect()
+    (1..)
+        .zip(rate)
+        .map(|(l, rate)| scaled(rate, Harmonic::multiple(l, omega).antiderivative()))
+        .collect()
 }
 
 /// `f₂ = ⟨∇M a₂⟩ + ½⟨∇²M(a₁, a₁)⟩ + ⟨∇n a₁⟩`.
@@ -122,38 +125,55 @@ impl MeanFlow<'_> {
         let Problem { sea, drag, .. } = self.problem;
         let forcing = self.invariant + (single - y) * drag;
         let at = harmonics(sea, t, y)?;
-        Ok((Expansion::new(self.order, &at, sea.omega(), drag, forcing), forcing))
+        Ok((Expansion::new(self.order, &at, t, sea.omega(), drag, forcing), forcing))
     }
 
     /// Solves `Y + a(0, Y) = x` by iteration.
     fn start(&self) -> Result<Vec2, DriftError> {
-        let x = self.problem.position;
-        let mut y = x;
-        for _ in 0..MAX_ITERATIONS {
-            let next = x - self.expansion(0.0, y, Vec2::zeros())?.0.displacement(0.0);
-            let moved = (next - y).norm();
-            y = next;
-            if moved <= 4.0 * f64::EPSILON * (x.norm() + y.norm()) {
-                return Ok(y);
-            }
-        }
-        Err(DriftError::Integration {
-            t: 0.0,
-            reason: "the slow initial position did not converge",
+        slow_position(self.problem.position, |y| {
+            Ok(self.expansion(0.0, y, Vec2::zeros())?.0.displacement(0.0))
         })
     }
 }
 
+/// Solves `Y + a(Y) = x` by iteration.
+pub(super) fn slow_position(
+    x: Vec2,
+    displacement: impl Fn(Vec2) -> Result<Vec2, DriftError>,
+) -> Result<Vec2, DriftError> {
+    let mut y = x;
+    for _ in 0..MAX_ITERATIONS {
+        let next = x - displacement(y)?;
+        let moved = (next - y).norm();
+        y = next;
+        if moved <= 4.0 * f64::EPSILON * (x.norm() + y.norm()) {
+            return Ok(y);
+        }
+    }
+    Err(DriftError::Integration { t: 0.0, reason: "the slow initial position did not converge" })
+}
+
+/// Adds bounds of `a₁`, at most `answer` times the water's excursion, and of its rate of change to
+/// the reach of the slow position.
+pub(super) fn oscillating_first(sea: &dyn SeaField, slow: Reach, answer: f64) -> Reach {
+    let Reach { center, radius, speed } = slow;
+    let bounds = sea.bounds(center, radius);
+    let slowest = sea.slowest();
+    let excursion = answer * bounds.tide / slowest;
+    let rate = answer * (bounds.tide + (bounds.rate + bounds.gradient * speed) / slowest);
+    Reach { center, radius: radius + excursion, speed: speed + rate }
+}
+
 /// Adds bounds of `a₁ + a₂` and of its rate of change to the reach of the slow position.
 pub(super) fn oscillating(problem: &Problem, order: u8, slow: Reach) -> Reach {
+    if order == 1 {
+        return oscillating_first(problem.sea, slow, 1.0);
+    }
     let Reach { center, radius, speed } = slow;
     let omega = problem.sea.omega();
     let bounds = problem.sea.bounds(center, radius);
     let first = bounds.tide / omega;
     let first_rate = bounds.tide + (bounds.rate + bounds.gradient * speed) / omega;
-    if order == 1 {
-        return Reach { center, radius: radius + first, speed: speed + first_rate };
-    }
     let forcing = speed + bounds.gradient * first / 2.0 + bounds.residual;
     let rate = (bounds.rate + bounds.gradient * forcing) / omega;
     let second = ((bounds.gradient + problem.drag) * first + bounds.residual + rate) / omega;
@@ -201,7 +221,7 @@ impl Piece for MeanFlowPiece<'_> {
     fn position(&self, t: f64) -> Result<Vec2, DriftError> {
         let (y, single) = self.slow(t);
         let (expansion, _) = self.flow.expansion(t, y, single)?;
-        Ok(y + expansion.displacement(self.flow.problem.sea.omega() * t))
+        Ok(y + expansion.displacement(t))
     }
 
     fn velocity(&self, t: f64) -> Result<Vec2, DriftError> {
@@ -235,6 +255,9 @@ pub fn follow(
 ) -> Result<Work, DriftError> {
     if order != 1 && order != 2 {
         return Err(DriftError::invalid("order", order, "mean-flow has orders 1 and 2"));
+    }
+    if order == 2 {
+        require_periodic(problem.sea, "mean-flow order 2")?;
     }
     problem.wind.require(0.0, problem.duration)?;
     let flow = MeanFlow {

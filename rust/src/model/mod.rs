@@ -4,6 +4,7 @@
 //! the tide, [`paper`] is the paper's stroboscopic expansion, [`mean_flow`] the expansion that
 //! production runs use.
 
+pub mod body;
 pub mod full;
 pub mod lanes;
 pub mod mean_flow;
@@ -190,27 +191,45 @@ impl Solver {
     }
 }
 
-/// `1/(ijω)`: turns the amplitude of harmonic `j` into that of its zero-mean antiderivative.
-fn antiderivative(j: usize, omega: f64) -> Complex64 {
-    Complex64::new(0.0, -1.0 / (j as f64 * omega))
+/// Tidal Stokes drift `⟨∇M a⟩` of a body whose excursion in each constituent is `excursion` of it;
+/// constituents of one species beat with each other: equations.md (10), (26).
+fn stokes_drift(tide: &[Harmonic], t: f64, excursion: impl Fn(&Harmonic) -> CVec2) -> Vec2 {
+    let mut drift = Vec2::zeros();
+    for (k, moving) in tide.iter().enumerate() {
+        let excursion = excursion(moving);
+        for (l, carrying) in tide.iter().enumerate() {
+            if k == l {
+                drift += real(carrying.gradient * conj(excursion)) * 0.5;
+            } else if moving.species == carrying.species {
+                let beat = Complex64::cis((carrying.omega - moving.omega) * t);
+                drift += real(scaled(carrying.gradient * conj(excursion), beat)) * 0.5;
+            }
+        }
+    }
+    drift
 }
 
-/// Amplitudes of the tidal excursion `a₁ = ∫~M dt`: equations.md (9).
-fn excursion(tide: &[Harmonic], omega: f64) -> impl Iterator<Item = CVec2> {
-    (1..).zip(tide).map(move |(j, h)| scaled(h.amplitude, antiderivative(j, omega)))
-}
-
-/// Tidal Stokes drift `⟨∇M a₁⟩`: equations.md (10).
-fn stokes_drift(tide: &[Harmonic], omega: f64) -> Vec2 {
-    (tide.iter().zip(excursion(tide, omega)))
-        .map(|(h, excursion)| real(h.gradient * conj(excursion)) * 0.5)
-        .sum()
+/// Mean of the residual current.
+fn mean_residual(at: &Harmonics) -> Vec2 {
+    at.residual.first().map_or(Vec2::zeros(), |mean| real(mean.amplitude))
 }
 
 /// Mean drift of order 1, `f₁`: tidal Stokes drift and mean residual current, equations.md (10).
-fn mean_drift(at: &Harmonics, omega: f64) -> Vec2 {
-    let mean = at.residual.first().map_or(Vec2::zeros(), |mean| real(mean.amplitude));
-    stokes_drift(&at.tide, omega) + mean
+fn mean_drift(at: &Harmonics, t: f64) -> Vec2 {
+    stokes_drift(&at.tide, t, Harmonic::excursion) + mean_residual(at)
+}
+
+/// Fails unless one period holds the tide: what expansions in its phase need.
+fn require_periodic(sea: &dyn SeaField, model: &'static str) -> Result<(), DriftError> {
+    if sea.is_periodic() {
+        return Ok(());
+    }
+    let what = "a tide of several constituents of one species";
+    Err(DriftError::invalid(
+        model,
+        what,
+        "it needs a tide of one period; mean-flow order 1 does not",
+    ))
 }
 
 /// Harmonics at one time and place.

@@ -8,12 +8,10 @@ use std::ops::ControlFlow;
 
 use nalgebra::SVector;
 
-use super::{
-    OnPiece, Piece, Problem, Reach, Solver, antiderivative, excursion, harmonics, stokes_drift,
-};
+use super::{OnPiece, Piece, Problem, Reach, Solver, harmonics, require_periodic, stokes_drift};
 use crate::dopri5::{Step, Work};
 use crate::error::{DriftError, positive};
-use crate::field::{CVec2, Harmonics, Vec2, complex, in_phase, phasors, real, scaled};
+use crate::field::{CVec2, Harmonic, Harmonics, Vec2, complex, in_phase, phasors, real, scaled};
 
 /// Longest step in tide periods.
 const MAX_STEP: f64 = 1.0;
@@ -76,11 +74,10 @@ impl Stroboscopic<'_> {
         let u0_rate = (wind.mean(t, self.window) - u0) * drag;
         let (mut y1_rate, mut u1_rate) = (Vec2::zeros(), Vec2::zeros());
         if self.order == 1 {
-            let omega = sea.omega();
             let at = harmonics(sea, t, y0)?;
-            let stokes = stokes_drift(&at.tide, omega);
-            let mean = mean_excursion(&at, omega);
-            let slow_change = mean_excursion_change(&at, omega, u0);
+            let stokes = stokes_drift(&at.tide, t, Harmonic::excursion);
+            let mean = mean_excursion(&at);
+            let slow_change = mean_excursion_change(&at, u0);
             let residual_mean = at.residual.first().map_or(Vec2::zeros(), |r| real(r.amplitude));
             let residual_start: Vec2 = at.residual.iter().map(|r| real(r.amplitude)).sum();
             let residual_change: Vec2 =
@@ -96,25 +93,20 @@ impl Stroboscopic<'_> {
 
     /// `a(θ) = ∫₀^θ M` in consistent units.
     fn displacement(&self, at: &Harmonics, t: f64) -> Vec2 {
-        let omega = self.problem.sea.omega();
-        excursion(&at.tide, omega)
-            .zip(phasors(omega * t))
-            .map(|(a, phasor)| in_phase(a, phasor - 1.0))
-            .sum()
+        at.tide.iter().map(|h| in_phase(h.excursion(), h.phasor(t) - 1.0)).sum()
     }
 }
 
 /// `⟨a⟩`: the excursion counted from the start of the tide has a mean.
-fn mean_excursion(at: &Harmonics, omega: f64) -> Vec2 {
-    -excursion(&at.tide, omega).map(real).sum::<Vec2>()
+fn mean_excursion(at: &Harmonics) -> Vec2 {
+    -at.tide.iter().map(|h| real(h.excursion())).sum::<Vec2>()
 }
 
 /// `⟨∂ₜa⟩ + ⟨∇a⟩U⁰`.
-fn mean_excursion_change(at: &Harmonics, omega: f64, u0: Vec2) -> Vec2 {
-    let change = |(j, h): (usize, &crate::field::Harmonic)| -> CVec2 {
-        scaled(h.rate + h.gradient * complex(u0), antiderivative(j, omega))
-    };
-    -(1..).zip(&at.tide).map(change).map(real).sum::<Vec2>()
+fn mean_excursion_change(at: &Harmonics, u0: Vec2) -> Vec2 {
+    let change =
+        |h: &Harmonic| -> CVec2 { scaled(h.rate + h.gradient * complex(u0), h.antiderivative()) };
+    -at.tide.iter().map(change).map(real).sum::<Vec2>()
 }
 
 struct PaperPiece<'a> {
@@ -201,6 +193,7 @@ pub fn follow(
         return Err(DriftError::invalid("order", order, "the paper's model has orders 0 and 1"));
     }
     positive("window", window)?;
+    require_periodic(problem.sea, "the paper's model")?;
     let period = problem.sea.period();
     let (need_start, need_end) = solver.wind_needed(problem.duration, period);
     problem.wind.require(need_start, need_end)?;
@@ -236,9 +229,7 @@ pub fn follow(
                 Ok(if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
             },
         )?;
-        work.accepted += done.accepted;
-        work.rejected += done.rejected;
-        work.evaluations += done.evaluations;
+        work += done;
         (t, n) = (end, n + 1.0);
     }
     Ok(work)

@@ -11,7 +11,7 @@ pub mod small_scale;
 
 use std::sync::Arc;
 
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::error::{DriftError, positive};
@@ -26,6 +26,7 @@ enum Stream {
     Synoptic = 0,
     SmallScale = 1,
     FinePath = 2,
+    Jibes = 3,
 }
 
 /// Generator keyed by (seed, member, stream): no member's numbers depend on another's.
@@ -33,6 +34,49 @@ fn stream(seed: u64, member: u64, stream: Stream) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(4 * member + stream as u64);
     rng
+}
+
+/// Times at which a member's body jibes, up to `end`: a Poisson process.
+pub(crate) fn jibes(seed: u64, member: u64, rate: f64, end: f64) -> Vec<f64> {
+    let mut jibes = Vec::new();
+    if rate <= 0.0 {
+        return jibes;
+    }
+    let mut rng = stream(seed, member, Stream::Jibes);
+    let mut t = 0.0;
+    loop {
+        t += -(1.0 - rng.random::<f64>()).ln() / rate;
+        if t >= end {
+            return jibes;
+        }
+        jibes.push(t);
+    }
+}
+
+/// Wind of one member over the run, which may vary in space.
+pub trait Wind: Sync {
+    /// Wind at time `t`, position `x`; `OutsideDomain` beyond the data.
+    fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError>;
+
+    /// Times where it is not smooth.
+    fn knots(&self) -> &[f64];
+
+    /// Fails unless it covers `[start, end]`, up to rounding.
+    fn require(&self, start: f64, end: f64) -> Result<(), DriftError>;
+}
+
+impl Wind for WindPath {
+    fn at(&self, t: f64, _: Vec2) -> Result<Vec2, DriftError> {
+        Ok(self.velocity(t))
+    }
+
+    fn knots(&self) -> &[f64] {
+        self.times()
+    }
+
+    fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
+        path::require_cover((self.start(), self.end()), (start, end))
+    }
 }
 
 /// How finely a member's wind is sampled.

@@ -1,0 +1,133 @@
+//! Ensembles of bodies of any kind, each with its own release, on the plane or the sphere.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::coast::Coast;
+use crate::ensemble::{Member, Trajectory, Winds, member, trajectory};
+use crate::error::DriftError;
+use crate::field::SeaField;
+use crate::geometry::Geometry;
+use crate::logbook::Observed;
+use crate::model::body::{Body, Drift, Release};
+use crate::model::{Model, Solver};
+use crate::wind::{Sampling, Wind, jibes};
+
+/// Bodies adrift in one sea: member `first + k` is body and release `k`, or the only one.
+pub struct Fleet {
+    /// The sea; its velocities are rates of the coordinates.
+    pub sea: Arc<dyn SeaField>,
+    /// The coast, if there is one.
+    pub coast: Option<Coast>,
+    /// The coordinates.
+    pub geometry: Geometry,
+    /// End of the run.
+    pub end: f64,
+    /// Index of the first member that the lists below are about.
+    pub first: u64,
+    /// Releases.
+    pub releases: Vec<Release>,
+    /// Bodies.
+    pub bodies: Vec<Body>,
+    /// Jibes in a unit of time, on average.
+    pub jibing_rate: f64,
+    /// Names the jibes, with the member.
+    pub seed: u64,
+}
+
+impl Fleet {
+    /// Fails unless every body and release makes sense.
+    pub fn validated(self) -> Result<Self, DriftError> {
+        let lists = [("releases", self.releases.len()), ("bodies", self.bodies.len())];
+        if let Some((name, _)) = lists.into_iter().find(|(_, len)| *len == 0) {
+            return Err(DriftError::invalid(name, "an empty list", "there must be one at least"));
+        }
+        let sound = |values: &[f64]| values.iter().all(|value| value.is_finite());
+        for Release { time, position, velocity } in &self.releases {
+            let velocity = velocity.unwrap_or_default();
+            if !sound(&[*time, position.x, position.y, velocity.x, velocity.y]) {
+                return Err(DriftError::invalid("release", position, "it must be finite"));
+            }
+            if *time < 0.0 || *time >= self.end {
+                return Err(DriftError::invalid("release time", time, "it must lie in the run"));
+            }
+        }
+        for body in &self.bodies {
+            let Body { response, slip, downwind, crosswind, jibed, surface_current } = body;
+            let lines = [downwind, crosswind, jibed].map(|line| line.slope + line.offset);
+            if !(sound(&lines) && sound(surface_current) && sound(&[*response, *slip])) {
+                return Err(DriftError::invalid("body", format!("{body:?}"), "it must be finite"));
+            }
+            if *response < 0.0 || *slip < 0.0 {
+                let accepted = "response time and slip must not be below 0";
+                return Err(DriftError::invalid("body", format!("{body:?}"), accepted));
+            }
+        }
+        Ok(self)
+    }
+
+    fn drift<'a>(&'a self, index: u64, wind: &'a dyn Wind, jibes: &'a [f64]) -> Drift<'a> {
+        let of = |len: usize| index.saturating_sub(self.first) as usize % len;
+        Drift {
+            sea: self.sea.as_ref(),
+            wind,
+            geometry: self.geometry,
+            body: self.bodies[of(self.bodies.len())],
+            release: self.releases[of(self.releases.len())],
+            end: self.end,
+            jibes,
+        }
+    }
+
+    fn jibes(&self, index: u64) -> Vec<f64> {
+        jibes(self.seed, index, self.jibing_rate, self.end)
+    }
+
+    /// Follows the first body through the whole run, whatever coast there is.
+    pub fn trajectory(
+        &self,
+        wind: &dyn Wind,
+        solver: &Solver,
+        times: &[f64],
+    ) -> Result<Trajectory, DriftError> {
+        let jibes = self.jibes(self.first);
+        let drift = self.drift(self.first, wind, &jibes);
+        let early = times.partition_point(|t| *t < drift.release.time);
+        if early > 0 {
+            let accepted = format!("the release is at {}", drift.release.time);
+            return Err(DriftError::invalid("times", times[0], accepted));
+        }
+        trajectory(times, |on_piece| drift.follow(solver, on_piece))
+    }
+
+    /// Follows members in parallel, in the order of their indices.
+    pub fn follow(
+        &self,
+        winds: &Winds,
+        solver: &Solver,
+        observed: Observed,
+        members: std::ops::Range<u64>,
+    ) -> Vec<Member> {
+        let sampling = match solver.model {
+            Model::MeanFlow { .. } => Sampling::Coarse,
+            _ => Sampling::Fine,
+        };
+        members
+            .into_par_iter()
+            .map(|index| {
+                let path = match winds.path(index, self.end, sampling) {
+                    Ok(path) => path,
+                    Err(error) => return Member::failed(error),
+                };
+                let jibes = self.jibes(index);
+                let drift = self.drift(index, path.as_ref(), &jibes);
+                let coast = (self.coast.as_ref(), self.sea.period());
+                let log = observed.log(index, coast, drift.release.time);
+                let mut member = member(log, |on_piece| drift.follow(solver, on_piece));
+                observed.count(&mut member);
+                member
+            })
+            .collect()
+    }
+}
