@@ -10,7 +10,7 @@ class ScenarioError(DriftCoreError, ValueError):
 
 
 class RecordError(DriftCoreError, ValueError):
-    """A wind record cannot be read, or is not fit for what is asked of it."""
+    """A record of wind or current cannot be read, or is not fit for what is asked of it."""
 
 
 class OutputError(DriftCoreError, OSError):
