@@ -49,7 +49,7 @@ def recount(fc: dc.Forecast) -> dict[str, Any]:
     data = fc.dataset
     time = data["time"].values
     counts: dict[str, Any] = {name: np.zeros((4, 11, 16), int) for name in ("presence", "arrival")}
-    counts |= {name: np.zeros(4, int) for name in ("outside", "ashore", "waiting")}
+    counts |= {name: np.zeros(4, int) for name in ("outside", "ashore")}
     counts["visit"] = np.zeros((11, 16), int)
     for member in range(data.sizes["member"]):
         position = data["position"].values[member]
@@ -164,7 +164,7 @@ def test_members_that_leave_the_data_are_outside_and_failed_ones_are_not_counted
         assert counted(fc, "outside").tolist() == [0, 1]
 
 
-def test_before_its_release_a_member_waits(embedded_wind: dc.LocalGridBootstrap) -> None:
+def test_before_its_release_a_member_is_outside(embedded_wind: dc.LocalGridBootstrap) -> None:
     """Through the core: three bodies released at different times, one of them a map time."""
     scenario, releases = SCENARIO, np.array([0.0, 0.5, 0.6])
     sea = scenario.sea.core(scenario.period, scenario.epsilon, 1.0)
@@ -188,9 +188,9 @@ def test_before_its_release_a_member_waits(embedded_wind: dc.LocalGridBootstrap)
         maps,
     )
     assert failure is None
-    present, arrived, outside, _, waiting = maps.counts()
-    assert waiting.tolist() == [2, 2, 1, 0]
-    assert (present.reshape(4, -1).sum(axis=1) + outside + waiting).tolist() == [3] * 4
+    present, arrived, outside, _ = maps.counts()
+    assert outside.tolist() == [2, 2, 1, 0]
+    assert (present.reshape(4, -1).sum(axis=1) + outside).tolist() == [3] * 4
     assert arrived.reshape(5, 11, 16).sum(axis=0).max() == 3
     assert np.array_equal(entries[:, 0], releases)
     assert np.isfinite(position[..., 0]).tolist() == [[True, True], [False, True], [False, True]]

@@ -134,7 +134,7 @@ def with_maps(
     """Add maps: numbers of members, flat, as the core counts them, among those followed."""
     times, rows, columns = grid.shape
     cells = ("y", "x")
-    present, arrived, outside, stranded, waiting = counts
+    present, arrived, outside, stranded = counts
     present = present.reshape(times, rows, columns)
     # The last interval follows the last map.
     arrived = arrived.reshape(times + 1, rows, columns)
@@ -176,9 +176,6 @@ def with_maps(
         "visit_standard_error": variable(cells, error(visited), f"visit: {half_width}"),
         "outside": variable(
             ("map_time",), share(outside), "probability of being afloat beyond the maps", "point"
-        ),
-        "waiting": variable(
-            ("map_time",), share(waiting), "probability of not having been released yet", "point"
         ),
         "ashore": variable(
             ("map_time",), share(stranded), "probability of having stranded", "point"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,7 @@ from driftcore.dataset import (
     write_netcdf,
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
+from driftcore.geographic import GeographicScenario
 from driftcore.maps import MapGrid
 from driftcore.record import WindRecord
 from driftcore.scenario import (
@@ -57,7 +58,7 @@ _FINE_STEPS = 100
 
 
 def trajectory(
-    scenario: Scenario,
+    scenario: Scenario | GeographicScenario,
     path: WindPath,
     *,
     model: ModelName,
@@ -111,10 +112,17 @@ def trajectory(
     DriftCoreError
         The integration failed.
     """
+    if isinstance(scenario, GeographicScenario):
+        from driftcore.geographic_forecast import geographic_trajectory
+
+        _refuse_paper_options({"window": window, "euler_step": euler_step}, wind_terms)
+        return geographic_trajectory(
+            scenario, path, model=model, times=times, order=order, rtol=rtol, atol=atol
+        )
     if not isinstance(path, WindPath):
         raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
     instants = _output_times(times, scenario.duration)
-    order, solver = _solver(
+    order, solver = solver_of(
         scenario, model, order, window, wind_terms, formulation, rtol, atol, euler_step
     )
     compiled = _compiled(scenario)
@@ -142,7 +150,7 @@ def trajectory(
 
 
 def forecast(
-    scenario: Scenario,
+    scenario: Scenario | GeographicScenario,
     wind: LocalGridBootstrap | Sequence[WindPath] | WindPaths | None = None,
     *,
     members: int | None = None,
@@ -210,14 +218,38 @@ def forecast(
     ScenarioError
         An argument is not accepted: its name, value and what is accepted are in the message.
     """
+    if isinstance(scenario, GeographicScenario):
+        from driftcore.geographic_forecast import geographic_forecast
+
+        if wind is None:
+            raise ScenarioError("wind: is missing; the real sea needs a wind of its own")
+        paper_only = {"window": window, "steps_per_tide": steps_per_tide}
+        _refuse_paper_options(paper_only, wind_terms)
+        return geographic_forecast(
+            scenario,
+            wind,  # type: ignore[arg-type]  # refused there by its name
+            members=members,
+            model=model,
+            order=order,
+            seed=seed,
+            keep=keep,
+            times=times,
+            maps=maps,
+            targets=targets,
+            rtol=rtol,
+            atol=atol,
+            threads=threads,
+            chunk=chunk,
+            progress=progress,
+        )
     if wind is None:
         from driftcore.paper import default_wind
 
         wind = default_wind()
-    order, solver = _solver(scenario, model, order, window, wind_terms, "B", rtol, atol)
-    winds: _Resampled | _Given
+    order, solver = solver_of(scenario, model, order, window, wind_terms, "B", rtol, atol)
+    winds: Resampled | _Given
     if isinstance(wind, LocalGridBootstrap):
-        winds = _Resampled(scenario, wind, solver, seed)
+        winds = Resampled(scenario, wind, solver, seed)
         members = 1000 if members is None else members
     else:
         winds = _Given(scenario, wind, solver)
@@ -246,8 +278,8 @@ def forecast(
         keep=keep,
         outputs_per_tide=max(1, len(instants) - 1) * scenario.period / scenario.duration,
     )
-    threads = _count("threads", _default_threads() if threads is None else threads)
-    chunk = _count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
+    threads = count("threads", default_threads() if threads is None else threads)
+    chunk = count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
     keep = min(keep, members)
     compiled = _compiled(scenario)
     shapes: Any = targets or {}  # of which the configuration makes polygons
@@ -265,11 +297,7 @@ def forecast(
         counted = maps.core(np.union1d(regular, maps.times), threads)
     winds.warn()
 
-    status = np.zeros(members, dtype=np.int8)
-    stranding_time = np.full(members, np.nan)
-    stranding_position = np.full((members, 2), np.nan)
-    position = np.full((keep, len(instants), 2), np.nan)
-    entry_time = np.full((members, len(areas)), np.nan)
+    fates = Fates.empty(members, keep, len(instants), len(areas))
     failure = None
     for first in range(0, members, chunk):
         last = min(first + chunk, members)
@@ -281,13 +309,7 @@ def forecast(
                 first,
                 instants,
                 keep,
-                (
-                    status[rows],
-                    stranding_time[rows],
-                    stranding_position[rows],
-                    position[rows],
-                    entry_time[rows],
-                ),
+                fates.rows(rows),
                 threads,
                 areas,
                 steps_per_tide,
@@ -298,16 +320,16 @@ def forecast(
         failure = failure or failed
         if progress is not None:
             progress(last, members)
-    _warn_of_failures(status, failure)
+    warn_of_failures(fates.status, failure)
 
     wind_times, kept_wind = winds.kept(keep, instants)
     dataset = forecast_dataset(
         scenario,
-        status=status,
-        stranding_time=stranding_time,
-        stranding_position=stranding_position,
+        status=fates.status,
+        stranding_time=fates.stranding_time,
+        stranding_position=fates.stranding_position,
         times=instants,
-        position=position,
+        position=fates.position,
         wind_times=wind_times,
         wind=kept_wind,
         attributes={
@@ -322,10 +344,10 @@ def forecast(
         },
     )
     if maps is not None and counted is not None:
-        followed = members - int((status == STATUSES.index("failed")).sum())
+        followed = members - int((fates.status == STATUSES.index("failed")).sum())
         dataset = with_maps(dataset, maps, counted.counts(), followed)
     if areas:
-        dataset = with_targets(dataset, list(configuration.targets), entry_time)
+        dataset = with_targets(dataset, list(configuration.targets), fates.entry_time)
     return Forecast(dataset)
 
 
@@ -395,13 +417,16 @@ class Forecast:
         ScenarioError
             The forecast has no such target.
         """
+        self._require_target(target)
+        times = self.dataset["entry_time"].sel(target=target).values
+        limit = np.inf if by is None else by
+        return probability(int((times <= limit).sum()), self.followed)
+
+    def _require_target(self, target: str) -> None:
         names = self.dataset["target"].values.tolist() if "target" in self.dataset else []
         if target not in names:
             known = f"one of {', '.join(names)}" if names else "the forecast was run without any"
             raise ScenarioError(f"target: {target!r} is not accepted; {known}")
-        times = self.dataset["entry_time"].sel(target=target).values
-        limit = np.inf if by is None else by
-        return probability(int((times <= limit).sum()), self.followed)
 
     def stranding_by_sector(self, sectors: int = 16) -> xr.Dataset:
         """Probability of stranding in each direction from the circle's centre, or the release.
@@ -420,10 +445,9 @@ class Forecast:
 
         from driftcore.statistics import wilson
 
-        sectors = _count("sectors", sectors)
+        sectors = count("sectors", sectors)
         self.stranding_probability()  # refuses where no member could be followed
-        places = self.dataset["stranding_position"].values
-        places = places[np.isfinite(places[:, 0])] - self._center()
+        places = self._places()
         bearing = np.degrees(np.arctan2(places[:, 0], places[:, 1]))
         sector = np.round(bearing / (360 / sectors)).astype(int) % sectors
         count = np.bincount(sector, minlength=sectors)
@@ -450,11 +474,14 @@ class Forecast:
         values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
         return xr.DataArray(values, {"quantile": list(levels)}, name="stranding_time")
 
-    def _center(self) -> Floats:
+    def _places(self) -> Floats:
+        """Places of stranding relative to the circle's centre, or the release."""
         import json
 
+        places = self.dataset["stranding_position"].values
         coast = json.loads(self.dataset.attrs.get("coast", "{}"))
-        return np.array(coast.get("center") or json.loads(self.dataset.attrs["release"]))
+        center = coast.get("center") or json.loads(self.dataset.attrs["release"])
+        return np.asarray(places[np.isfinite(places[:, 0])] - np.array(center))
 
     def configuration(self) -> str:
         """TOML text of the run; `driftcore run` reads it."""
@@ -496,7 +523,7 @@ def run(
     """
     settings = configuration.ensemble
     scenario = configuration.scenario
-    _solver(
+    solver_of(
         scenario,
         settings.model,
         settings.order,
@@ -566,8 +593,8 @@ def member_path(
     It covers the run and what any averaging window up to four tides wide needs around it.
     """
     solver = _core.Solver.paper(1, 4 * scenario.period, True, 1e-8, 1e-8, None)
-    winds = _Resampled(scenario, wind, solver, seed)
-    member, seed = _count("member", member, least=0), _count("seed", seed, least=0)
+    winds = Resampled(scenario, wind, solver, seed)
+    member, seed = count("member", member, least=0), count("seed", seed, least=0)
     return WindPath(*winds.generator.path(seed, member, winds.end))
 
 
@@ -644,6 +671,14 @@ def member_trajectories(
     return full, averaged, path
 
 
+def _refuse_paper_options(options: dict[str, Any], wind_terms: bool) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise ScenarioError(f"{name}: {value!r} is not accepted on a geographic scenario")
+    if not wind_terms:
+        raise ScenarioError('wind_terms: only the model "paper" has them')
+
+
 def regular_times(duration: float, interval: float) -> Floats:
     """Regular times from 0 to the end of a run, both included, about `interval` apart."""
     return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
@@ -685,8 +720,8 @@ def _area(name: str, area: Polygons) -> _core.Coast:
         raise ScenarioError(f"targets.{name}: {error}") from None
 
 
-def _solver(
-    scenario: Scenario,
+def solver_of(
+    scenario: Scenario | GeographicScenario,
     model: str,
     order: int | None,
     window: float | None,
@@ -719,11 +754,46 @@ def _solver(
     return order, _core.Solver.paper(order, window, wind_terms, rtol, atol, euler_step)
 
 
-class _Resampled:
+class Fates(NamedTuple):
+    """What became of the members, filled in by the core."""
+
+    status: NDArray[np.int8]
+    """Shape (members,), an index of `STATUSES`."""
+    stranding_time: Floats
+    """Shape (members,), NaN where not stranded."""
+    stranding_position: Floats
+    """Shape (members, 2)."""
+    position: Floats
+    """Shape (kept members, output times, 2), NaN where not adrift."""
+    entry_time: Floats
+    """Shape (members, targets), NaN where not entered."""
+
+    @classmethod
+    def empty(cls, members: int, keep: int, outputs: int, targets: int) -> Fates:
+        """Of members not followed yet."""
+        return cls(
+            np.zeros(members, dtype=np.int8),
+            np.full(members, np.nan),
+            np.full((members, 2), np.nan),
+            np.full((keep, outputs, 2), np.nan),
+            np.full((members, targets), np.nan),
+        )
+
+    def rows(self, rows: slice) -> Fates:
+        """Those of some members, as views."""
+        return Fates(*(array[rows] for array in self))
+
+
+class Resampled:
     """Winds drawn by a fitted bootstrap, named by (seed, member)."""
 
     def __init__(
-        self, scenario: Scenario, wind: LocalGridBootstrap, solver: _core.Solver, seed: int
+        self,
+        scenario: Scenario | GeographicScenario,
+        wind: LocalGridBootstrap,
+        solver: _core.Solver,
+        seed: int,
+        phase: int | None = None,
     ) -> None:
         self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
@@ -744,6 +814,7 @@ class _Resampled:
             wind.memory_h / scenario.hours_per_unit,
             substeps,
             lead_in,
+            None if phase is None else wind.phase_before(phase, lead_in),
         )
         self.lead_in = lead_in
         self.times = np.arange(math.ceil(self.end / step - 1e-9) + 1) * np.float64(step)
@@ -856,17 +927,17 @@ def _output_times(times: ArrayLike, duration: float) -> Floats:
     return np.ascontiguousarray(instants)
 
 
-def _count(field: str, value: int, least: int = 1) -> int:
+def count(field: str, value: int, least: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ScenarioError(f"{field}: {value!r} is not accepted; a whole number from {least} up")
     return int(value)
 
 
-def _default_threads() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def default_threads() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpucount() or 1
 
 
-def _warn_of_failures(status: NDArray[np.int8], first: str | None) -> None:
+def warn_of_failures(status: NDArray[np.int8], first: str | None) -> None:
     failed = np.flatnonzero(status == STATUSES.index("failed"))
     if len(failed):
         warnings.warn(

@@ -150,7 +150,8 @@ class GeographicScenario:
     @cached_property
     def start(self) -> np.datetime64:
         """Earliest release, UTC."""
-        return np.datetime64(self.release.earliest, "ns")
+        releases = getattr(self.release, "releases", None) or (self.release,)
+        return min(np.datetime64(r.start.replace(tzinfo=None), "ns") for r in releases)
 
     @cached_property
     def origin(self) -> np.datetime64:

@@ -283,6 +283,11 @@ def listed(names: Iterable[object]) -> str:
 # Calendar
 
 
+def day_of_year(times: Times) -> Integer:
+    """Day of a year of 365 days, 0 to 364; 29 February counts as the 28th."""
+    return _calendar(times)[1]
+
+
 def _calendar(times: Times) -> tuple[Integer, Integer]:
     """Month (1 to 12) and day of a year of 365 days (0 to 364; 29 February counts as the 28th)."""
     months = times.astype("datetime64[M]")

@@ -432,18 +432,18 @@ def _neighbours(
 
 
 def _region_indices(
-    latitude: Float, longitude: Float, region: Region
+    latitude: Float, longitude: Float, region: Region, steps: int = 1
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Float]:
-    """Rows and columns that cover a region, and the longitudes of the columns."""
+    """Rows and columns less than some steps outside a region, and the columns' longitudes."""
     west, east, south, north = region
     if not (west < east <= west + 360 and south < north):
         raise ScenarioError(
             f"region: {region} is not accepted; give (west, east, south, north) with west < east "
             "≤ west + 360 and south < north"
         )
-    margin = _step(latitude)
+    margin = steps * _step(latitude)
     rows = np.flatnonzero((latitude > south - margin) & (latitude < north + margin))
-    margin = min(_step(longitude), (360 - (east - west)) / 2 + 1e-6)
+    margin = min(steps * _step(longitude), (360 - (east - west)) / 2 + 1e-6)
     start = west - margin + 1e-9
     # A global axis may hold both 0 and 360.
     eastward, columns = np.unique(
@@ -566,7 +566,7 @@ def from_atlas(
             DriftCoreWarning,
             stacklevel=2,
         )
-    return TidalAtlas(atlas)
+    return TidalAtlas(atlas) if region is None else TidalAtlas(atlas).sel_region(*region)
 
 
 def _opened(
@@ -744,7 +744,6 @@ class _Reader:
             )
         field = dataset[variable].drop_vars(dataset[variable].coords.keys() & {rows, columns})
         field = field.drop_vars([name for name in field.coords if name not in field.dims])
-        # Names of dimensions may clash: x may be called "latitude" in one file, "nx" in another.
         field = field.rename({rows: "latitude", columns: "longitude"})
         if latitude[-1] < latitude[0]:
             latitude, field = latitude[::-1], field.isel(latitude=slice(None, None, -1))
@@ -760,8 +759,9 @@ class _Reader:
                 raise RecordError(f"{label}: {error}") from error
             axes[role] = np.linspace(values[0], values[-1], len(values))
         if self.region is not None:
+            # One step more, since a staggered grid loses one.
             kept, across, eastward = _region_indices(
-                axes["latitude"], axes["longitude"], self.region
+                axes["latitude"], axes["longitude"], self.region, steps=2
             )
             field = field.isel(latitude=kept, longitude=across)
             axes = {"latitude": axes["latitude"][kept], "longitude": eastward}
@@ -834,8 +834,7 @@ class _Reader:
         ]
         field = field.squeeze([dim for dim in extra if dim not in along], drop=True)
         if along:
-            field = field.drop_vars(along, errors="ignore").rename({along[0]: "_constituent"})
-            field = field.rename({"_constituent": "constituent"})
+            field = field.drop_vars(along, errors="ignore").rename({along[0]: "constituent"})
         else:
             field = field.expand_dims("constituent")
         field = field.isel(constituent=chosen)
@@ -929,7 +928,11 @@ def _on_one_grid(u: xr.DataArray, v: xr.DataArray, depth: xr.DataArray | None) -
     wet = ((u != 0) | (v != 0)).any("constituent") & (u.notnull() & v.notnull()).all("constituent")
     atlas = xr.Dataset({"u": u, "v": v}).where(wet)
     if depth is not None:
-        depth = depth.interp(latitude=atlas["latitude"], longitude=atlas["longitude"])
+        places = {
+            "latitude": atlas["latitude"].values,
+            "longitude": _turned(atlas["longitude"].values, depth["longitude"].values),
+        }
+        depth = depth.interp(places).assign_coords(longitude=atlas["longitude"])
         atlas = atlas / depth.where(depth > 0)
     if not bool(atlas["u"].notnull().any()):
         raise RecordError("source: has no value that is neither missing nor zero; all is land")

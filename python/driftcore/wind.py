@@ -329,6 +329,10 @@ class LocalGridBootstrap:
         }
         return {key: value for key, value in settings.items() if value is not None}
 
+    def phase_before(self, phase: int, steps: int) -> int:
+        """Phase of the mean cycle so many steps before another."""
+        return (phase - steps) % len(self.cycle)
+
     @overload
     def sample(
         self, members: int, steps: int, seed: int, return_indices: Literal[False] = False
@@ -392,7 +396,8 @@ class WindPath:
     Parameters
     ----------
     times : array_like, shape (k,)
-        Knots, strictly increasing, at least 2 [the scenario's time unit].
+        Knots, strictly increasing, at least 2 [the scenario's time unit]; on a geographic scenario
+        datetime64, UTC, and the velocity in m/s.
     velocity : array_like, shape (k, 2)
         Velocity toward x and y at the knots [the scenario's velocity unit].
 
@@ -404,8 +409,16 @@ class WindPath:
 
     times: Float
     velocity: Float
+    instants: NDArray[np.datetime64] | None
+    """The knots, where they were given in UTC; `times` are then days from the first."""
 
     def __init__(self, times: ArrayLike, velocity: ArrayLike) -> None:
+        self.instants = None
+        if np.issubdtype(np.asarray(times).dtype, np.datetime64):
+            self.instants = np.asarray(times, dtype="datetime64[ns]")
+            if np.isnat(self.instants).any() or not self.instants.size:
+                raise ScenarioError("times: must be UTC times, at least 2, none of them missing")
+            times = (self.instants - self.instants.flat[0]) / np.timedelta64(1, "D")
         self.times = _real_array("times", times)
         self.velocity = _real_array("velocity", velocity)
         if self.times.ndim != 1 or len(self.times) < 2:

@@ -11,9 +11,10 @@ use crate::dopri5::Work;
 use crate::error::DriftError;
 use crate::field::{SeaField, Vec2};
 use crate::lanes::WIDTH;
-use crate::logbook::{Logbook, Observed};
+use crate::logbook::{Logbook, Watch};
 use crate::model::lanes::{Carrier, Grid, State};
 use crate::model::{Model, OnPiece, Problem, Solver};
+use crate::statistics::Maps;
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
 use crate::wind::{Sampling, WindGenerator};
@@ -82,24 +83,10 @@ pub struct Member {
     pub positions: Vec<Vec2>,
     /// Position at the times that maps sample, while it was adrift; empty once it is counted.
     pub track: Vec<Vec2>,
-    /// Time of the first entry of each target, NaN where there was none; empty if it failed.
+    /// Time of the first entry of each target, NaN where there was none.
     pub entries: Vec<f64>,
     /// Why it failed.
     pub failure: Option<DriftError>,
-}
-
-impl Member {
-    /// One that could not be followed at all.
-    pub(crate) fn failed(error: DriftError) -> Self {
-        Self {
-            status: Status::Failed,
-            stranding: None,
-            positions: Vec::new(),
-            track: Vec::new(),
-            entries: Vec::new(),
-            failure: Some(error),
-        }
-    }
 }
 
 /// What a trajectory holds at each output time.
@@ -180,7 +167,11 @@ pub struct Ensemble<'a> {
     scenario: &'a Scenario,
     winds: &'a Winds<'a>,
     solver: Solver,
-    observed: Observed<'a>,
+    /// Output times, and the number of members that record their positions there.
+    times: &'a [f64],
+    keep: u64,
+    maps: Option<&'a Maps>,
+    targets: &'a [&'a Coast],
     end: f64,
     sampling: Sampling,
     side_by_side: Option<SideBySide<'a>>,
@@ -207,7 +198,7 @@ impl<'a> Ensemble<'a> {
         winds: &'a Winds<'a>,
         solver: Solver,
         steps_per_tide: Option<f64>,
-        outputs: (&'a [f64], u64),
+        (times, keep): (&'a [f64], u64),
     ) -> Result<Self, DriftError> {
         let sampling = match solver.model {
             Model::MeanFlow { order: 1 } => Sampling::Coarse,
@@ -242,13 +233,24 @@ impl<'a> Ensemble<'a> {
                 ));
             }
         };
-        let observed = Observed { outputs, ..Observed::default() };
-        Ok(Self { scenario, winds, solver, observed, end, sampling, side_by_side })
+        let (maps, targets) = (None, &[][..]);
+        Ok(Self {
+            scenario,
+            winds,
+            solver,
+            times,
+            keep,
+            maps,
+            targets,
+            end,
+            sampling,
+            side_by_side,
+        })
     }
 
     /// Counts the members on maps, and notes when they first enter each target.
-    pub fn observed(self, observed: Observed<'a>) -> Self {
-        Self { observed, ..self }
+    pub fn observed(self, maps: Option<&'a Maps>, targets: &'a [&'a Coast]) -> Self {
+        Self { maps, targets, ..self }
     }
 
     /// Follows the members of a range, in the order of their indices; groups of [`WIDTH`] share
@@ -262,7 +264,12 @@ impl<'a> Ensemble<'a> {
                 let range =
                     (group * width).max(members.start)..((group + 1) * width).min(members.end);
                 let mut members = self.group(range);
-                members.iter_mut().for_each(|member| self.observed.count(member));
+                if let Some(maps) = self.maps {
+                    for member in &mut members {
+                        maps.count(member);
+                        member.track = Vec::new();
+                    }
+                }
                 members
             })
             .collect();
@@ -279,8 +286,13 @@ impl<'a> Ensemble<'a> {
     }
 
     fn log(&self, member: u64) -> Logbook<'a> {
-        let Scenario { coast, sea, .. } = self.scenario;
-        self.observed.log(member, (coast.as_ref(), sea.period()), 0.0)
+        Logbook::new(Watch {
+            coast: self.scenario.coast.as_ref(),
+            targets: self.targets,
+            period: self.scenario.sea.period(),
+            outputs: if member < self.keep { self.times } else { &[] },
+            samples: self.maps.map_or(&[], |maps| maps.grid().samples()),
+        })
     }
 
     /// Follows one member by the adaptive integrator.
@@ -289,7 +301,7 @@ impl<'a> Ensemble<'a> {
             Ok(path) => member(self.log(index), |on_piece| {
                 self.solver.follow(self.scenario.problem(&path), on_piece)
             }),
-            Err(error) => Member::failed(error),
+            Err(error) => self.log(index).close(Err(error)),
         }
     }
 
@@ -326,11 +338,11 @@ impl<'a> Ensemble<'a> {
         let mut alone = [false; WIDTH];
         let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| self.log(index(place)));
         let Scenario { sea, coast, .. } = self.scenario;
-        let bounded = coast.is_some() || !self.observed.targets.is_empty();
+        let bounded = coast.is_some() || !self.targets.is_empty();
         let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
             return members.map(|index| self.alone(index)).collect();
         };
-        let watched = bounded || self.observed.watches(members.start);
+        let watched = bounded || members.start < self.keep || self.maps.is_some();
         let together = if watched { 1 } else { UNWATCHED_STEPS };
         let mut n = 0;
         while n < shared.grid.steps() {

@@ -9,9 +9,10 @@ use crate::ensemble::{Member, Trajectory, Winds, member, trajectory};
 use crate::error::DriftError;
 use crate::field::SeaField;
 use crate::geometry::Geometry;
-use crate::logbook::Observed;
+use crate::logbook::{Logbook, Watch};
 use crate::model::body::{Body, Drift, Release};
 use crate::model::{Model, Solver};
+use crate::statistics::Maps;
 use crate::wind::{Sampling, Wind, jibes};
 
 /// Bodies adrift in one sea: member `first + k` is body and release `k`, or the only one.
@@ -106,28 +107,51 @@ impl Fleet {
         &self,
         winds: &Winds,
         solver: &Solver,
-        observed: Observed,
+        watched: Watched,
         members: std::ops::Range<u64>,
     ) -> Vec<Member> {
         let sampling = match solver.model {
             Model::MeanFlow { .. } => Sampling::Coarse,
             _ => Sampling::Fine,
         };
+        let Watched { outputs, keep, maps, targets } = watched;
         members
             .into_par_iter()
             .map(|index| {
-                let path = match winds.path(index, self.end, sampling) {
-                    Ok(path) => path,
-                    Err(error) => return Member::failed(error),
+                let watch = Watch {
+                    coast: self.coast.as_ref(),
+                    targets,
+                    period: self.sea.period(),
+                    outputs: if index < keep { outputs } else { &[] },
+                    samples: maps.map_or(&[], |maps| maps.grid().samples()),
                 };
                 let jibes = self.jibes(index);
-                let drift = self.drift(index, path.as_ref(), &jibes);
-                let coast = (self.coast.as_ref(), self.sea.period());
-                let log = observed.log(index, coast, drift.release.time);
-                let mut member = member(log, |on_piece| drift.follow(solver, on_piece));
-                observed.count(&mut member);
+                let followed = winds.path(index, self.end, sampling).map(|path| {
+                    let drift = self.drift(index, path.as_ref(), &jibes);
+                    let log = Logbook::from_release(watch, drift.release.time);
+                    member(log, |on_piece| drift.follow(solver, on_piece))
+                });
+                let mut member =
+                    followed.unwrap_or_else(|error| Logbook::new(watch).close(Err(error)));
+                if let Some(maps) = maps {
+                    maps.count(&member);
+                    member.track = Vec::new();
+                }
                 member
             })
             .collect()
     }
+}
+
+/// What members are watched for beside the coast.
+#[derive(Clone, Copy)]
+pub struct Watched<'a> {
+    /// Output times of the kept members.
+    pub outputs: &'a [f64],
+    /// How many members are kept, from the first of the run on.
+    pub keep: u64,
+    /// Maps that the members are counted into.
+    pub maps: Option<&'a Maps>,
+    /// Shapes whose first entry is written down.
+    pub targets: &'a [&'a Coast],
 }

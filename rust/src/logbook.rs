@@ -7,61 +7,20 @@ use crate::ensemble::{Member, Status};
 use crate::error::DriftError;
 use crate::field::Vec2;
 use crate::model::{Piece, Reach};
-use crate::statistics::Maps;
 
-/// What the members of an ensemble are observed for, beside where they strand.
-#[derive(Clone, Copy, Default)]
-pub struct Observed<'a> {
-    /// Output times, and the number of members, from the first on, that keep their positions there.
-    pub outputs: (&'a [f64], u64),
-    /// Maps on which they are counted.
-    pub maps: Option<&'a Maps>,
+/// What a member is watched for.
+#[derive(Clone, Copy)]
+pub struct Watch<'a> {
+    /// The coast, where it strands.
+    pub coast: Option<&'a Coast>,
     /// Shapes whose first entry is written down; entering stops nobody.
     pub targets: &'a [&'a Coast],
-}
-
-impl<'a> Observed<'a> {
-    /// Whether positions of a member are asked for.
-    pub fn watches(&self, member: u64) -> bool {
-        member < self.outputs.1 || self.maps.is_some()
-    }
-
-    /// The logbook of a member released at `start`; the coast comes with the tide's period.
-    pub fn log(
-        &self,
-        member: u64,
-        (coast, period): (Option<&'a Coast>, f64),
-        start: f64,
-    ) -> Logbook<'a> {
-        let outputs = if member < self.outputs.1 { self.outputs.0 } else { &[] };
-        let samples = self.maps.map_or(&[][..], |maps| maps.grid().samples());
-        // Before the release there is no position.
-        let places = |times: &[f64]| {
-            let mut places = Vec::with_capacity(times.len());
-            places.resize(times.partition_point(|t| *t < start), Vec2::repeat(f64::NAN));
-            places
-        };
-        Logbook {
-            coast,
-            period,
-            targets: self.targets,
-            outputs,
-            samples,
-            stranding: None,
-            positions: places(outputs),
-            track: places(samples),
-            entries: vec![f64::NAN; self.targets.len()],
-            safe: (None, vec![None; self.targets.len()]),
-        }
-    }
-
-    /// Counts a member on the maps, and frees its track.
-    pub fn count(&self, member: &mut Member) {
-        if let Some(maps) = self.maps {
-            maps.count(member);
-            member.track = Vec::new();
-        }
-    }
+    /// Tide period.
+    pub period: f64,
+    /// Output times.
+    pub outputs: &'a [f64],
+    /// Times at which the track is sampled.
+    pub samples: &'a [f64],
 }
 
 /// Where a clearance was found last, and how large.
@@ -69,11 +28,7 @@ type Safe = Option<(Vec2, f64)>;
 
 /// The logbook of one member.
 pub struct Logbook<'a> {
-    coast: Option<&'a Coast>,
-    period: f64,
-    targets: &'a [&'a Coast],
-    outputs: &'a [f64],
-    samples: &'a [f64],
+    watch: Watch<'a>,
     stranding: Option<(f64, Vec2)>,
     positions: Vec<Vec2>,
     track: Vec<Vec2>,
@@ -83,18 +38,41 @@ pub struct Logbook<'a> {
     safe: (Safe, Vec<Safe>),
 }
 
-impl Logbook<'_> {
+impl<'a> Logbook<'a> {
+    /// Nothing written yet.
+    pub fn new(watch: Watch<'a>) -> Self {
+        Self {
+            watch,
+            stranding: None,
+            positions: Vec::with_capacity(watch.outputs.len()),
+            track: Vec::with_capacity(watch.samples.len()),
+            entries: vec![f64::NAN; watch.targets.len()],
+            safe: (None, vec![None; watch.targets.len()]),
+        }
+    }
+
+    /// That of a member who is nowhere before its release.
+    pub fn from_release(watch: Watch<'a>, time: f64) -> Self {
+        let mut log = Self::new(watch);
+        let nowhere = Vec2::repeat(f64::NAN);
+        log.positions.resize(watch.outputs.partition_point(|t| *t < time), nowhere);
+        log.track.resize(watch.samples.partition_point(|t| *t < time), nowhere);
+        log
+    }
+
     /// Whether a position is to be written down at `t` or before.
     pub fn is_due(&self, t: f64) -> bool {
         let due = |times: &[f64], done: usize| times.get(done).is_some_and(|next| *next <= t);
-        due(self.outputs, self.positions.len()) || due(self.samples, self.track.len())
+        due(self.watch.outputs, self.positions.len()) || due(self.watch.samples, self.track.len())
     }
 
     /// Whether the coast, or a target not entered yet, may be met within `reach`.
     pub fn is_near(&mut self, reach: &Reach) -> bool {
         let (safe, safe_targets) = &mut self.safe;
-        let mut near = self.coast.is_some_and(|coast| !clear(coast, reach, safe));
-        for ((target, entry), safe) in self.targets.iter().zip(&self.entries).zip(safe_targets) {
+        let mut near = self.watch.coast.is_some_and(|coast| !clear(coast, reach, safe));
+        for ((target, entry), safe) in
+            self.watch.targets.iter().zip(&self.entries).zip(safe_targets)
+        {
             near = near || entry.is_nan() && !clear(target, reach, safe);
         }
         near
@@ -103,7 +81,7 @@ impl Logbook<'_> {
     /// Writes down what a piece of trajectory tells; with `near`, looks for the coast and targets.
     /// Breaks where the member strands.
     pub fn look(&mut self, piece: &dyn Piece, near: bool) -> Result<ControlFlow<()>, DriftError> {
-        let Self { coast, targets, period, outputs, samples, .. } = *self;
+        let Watch { coast, targets, period, outputs, samples } = self.watch;
         if let Some(coast) = coast.filter(|_| near) {
             self.stranding = coast.first_crossing(piece, period)?;
         }
@@ -131,14 +109,17 @@ impl Logbook<'_> {
 
     /// Closes the book: what the member came to, or what ended it.
     pub fn close(self, run: Result<(), DriftError>) -> Member {
-        let Self { stranding, positions, track, entries, .. } = self;
-        let status = match run {
-            Ok(()) if stranding.is_some() => Status::Stranded,
-            Ok(()) => Status::Afloat,
-            Err(DriftError::OutsideDomain { .. }) => Status::LeftDomain,
-            Err(error) => return Member { positions, ..Member::failed(error) },
+        let Self { stranding, positions, track, mut entries, .. } = self;
+        let (status, failure) = match run {
+            Ok(()) if stranding.is_some() => (Status::Stranded, None),
+            Ok(()) => (Status::Afloat, None),
+            Err(DriftError::OutsideDomain { .. }) => (Status::LeftDomain, None),
+            Err(error) => (Status::Failed, Some(error)),
         };
-        Member { status, stranding, positions, track, entries, failure: None }
+        if status == Status::Failed {
+            entries.fill(f64::NAN);
+        }
+        Member { status, stranding, positions, track, entries, failure }
     }
 }
 

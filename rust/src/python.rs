@@ -19,9 +19,8 @@ use crate::field::academic::{AcademicSea, SeparableCurrent};
 use crate::field::gridded::{Axis, GriddedSea, Tide};
 use crate::field::sum::SumOfSeas;
 use crate::field::{Harmonic, SeaField, Vec2};
-use crate::fleet::Fleet as CoreFleet;
+use crate::fleet::{Fleet as CoreFleet, Watched};
 use crate::geometry::Geometry;
-use crate::logbook::Observed;
 use crate::model::body::{Body, Line, Release};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
 use crate::statistics::{Cells, MapGrid, Maps as CoreMaps};
@@ -430,8 +429,8 @@ impl Coast {
 #[pyclass(frozen)]
 struct Maps(CoreMaps);
 
-/// Present, arrived (of one more interval than map times), outside, stranded, waiting.
-type Counted<'py> = [Bound<'py, PyArray1<u32>>; 5];
+/// Present, arrived (of one more interval than map times), outside, stranded.
+type Counted<'py> = [Bound<'py, PyArray1<u32>>; 4];
 
 #[pymethods]
 impl Maps {
@@ -452,7 +451,7 @@ impl Maps {
     /// Numbers of members up to now, flat.
     fn counts<'py>(&self, py: Python<'py>) -> Counted<'py> {
         let counts = py.detach(|| self.0.total());
-        [counts.present, counts.arrived, counts.outside, counts.stranded, counts.waiting]
+        [counts.present, counts.arrived, counts.outside, counts.stranded]
             .map(|values| values.into_pyarray(py))
     }
 }
@@ -565,12 +564,11 @@ impl Scenario {
         let times = times.as_array().to_vec();
         let paths = winds.paths();
         let winds = winds.core(&paths);
+        let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
         let outputs = (times.as_slice(), keep);
-        let targets = shapes(&targets);
-        let observed = Observed { outputs, maps: maps.map(|maps| &maps.0), targets: &targets };
         let ensemble = py
             .detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?
-            .observed(observed);
+            .observed(maps.map(|maps| &maps.0), &targets);
         run_batches(py, first, into, threads, |batch| ensemble.follow(batch))
     }
 }
@@ -677,25 +675,21 @@ impl Fleet {
         let times = times.as_array().to_vec();
         let paths = winds.paths();
         let winds = winds.core(&paths);
-        let targets = shapes(&targets);
-        let outputs = (times.as_slice(), keep);
-        let observed = Observed { outputs, maps: maps.map(|maps| &maps.0), targets: &targets };
+        let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
+        let watched =
+            Watched { outputs: &times, keep, maps: maps.map(|maps| &maps.0), targets: &targets };
         run_batches(py, first, into, threads, |batch| {
-            self.0.follow(&winds, &solver.0, observed, batch)
+            self.0.follow(&winds, &solver.0, watched, batch)
         })
     }
 }
 
-fn shapes(coasts: &[Py<Coast>]) -> Vec<&CoreCoast> {
-    coasts.iter().map(|coast| &coast.get().0).collect()
-}
-
-/// Follows as many members from `first` on as there are rows for their fates, in batches, with a
-/// look at Python's signals between them. Gives the first failure.
+/// Follows members from `first` on in batches, with a look at Python's signals between them, and
+/// writes down what became of them. Gives the first failure.
 fn run_batches(
     py: Python,
     first: u64,
-    (mut status, mut stranding_time, mut place, mut position, mut entry_time): Fates,
+    into: Fates,
     threads: usize,
     follow: impl Fn(std::ops::Range<u64>) -> Vec<Member> + Sync,
 ) -> PyResult<Option<String>> {
@@ -703,16 +697,19 @@ fn run_batches(
         .num_threads(threads)
         .build()
         .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+    let (mut status, mut stranding_time, mut place, mut position, mut entry_time) = into;
     let (status, stranding_time) = (status.as_slice_mut()?, stranding_time.as_slice_mut()?);
     let mut place = place.as_array_mut();
     let mut position = position.as_array_mut();
     let mut entry_time = entry_time.as_array_mut();
+    let members = first..first + status.len() as u64;
     let mut size = BATCH * threads as u64;
     let mut failure = None;
     let mut row = 0;
-    while row < status.len() {
-        let at = first + row as u64;
-        let batch = at..(at + size).min(first + status.len() as u64);
+    let mut at = members.start;
+    while at < members.end {
+        let batch = at..(at + size).min(members.end);
+        at = batch.end;
         let began = Instant::now();
         for member in py.detach(|| pool.install(|| follow(batch))) {
             status[row] = member.status as i8;

@@ -153,12 +153,10 @@ pub struct Counts {
     /// Come to each cell for the first time within each interval that ends at a map time, and
     /// after the last of them: (time + 1, y, x).
     pub arrived: Vec<u32>,
-    /// Afloat, but beyond the grid or the sea's data, at each map time.
+    /// Not in the grid at each map time: afloat beyond it or the sea's data, or not yet released.
     pub outside: Vec<u32>,
     /// Stranded by each map time.
     pub stranded: Vec<u32>,
-    /// Not released yet at each map time.
-    pub waiting: Vec<u32>,
 }
 
 impl Counts {
@@ -169,7 +167,6 @@ impl Counts {
             arrived: vec![0; (times + 1) * cells],
             outside: vec![0; times],
             stranded: vec![0; times],
-            waiting: vec![0; times],
         }
     }
 
@@ -179,7 +176,6 @@ impl Counts {
             (&mut self.arrived, &other.arrived),
             (&mut self.outside, &other.outside),
             (&mut self.stranded, &other.stranded),
-            (&mut self.waiting, &other.waiting),
         ];
         for (mine, theirs) in pairs {
             mine.iter_mut().zip(theirs).for_each(|(mine, theirs)| *mine += theirs);
@@ -204,18 +200,16 @@ impl Counter {
                 counts.stranded[map] += 1;
                 continue;
             }
-            let place = track.get(*sample);
-            match place.and_then(|x| grid.cell(*x)) {
+            match track.get(*sample).and_then(|x| grid.cell(*x)) {
                 Some(cell) => counts.present[map * cells + cell] += 1,
-                None if place.is_some_and(|x| x.x.is_nan()) => counts.waiting[map] += 1,
                 None => counts.outside[map] += 1,
             }
         }
-        let stations = (grid.samples.iter().copied().zip(track.iter().copied()))
-            .skip_while(|(_, x)| x.x.is_nan());
+        let stations = grid.samples.iter().copied().zip(track.iter().copied());
         let mut before = None;
         let mut interval = 0;
-        for (t, x) in stations.chain(member.stranding) {
+        // Before its release a member is nowhere.
+        for (t, x) in stations.chain(member.stranding).filter(|(_, x)| x.x.is_finite()) {
             while grid.times.get(interval).is_some_and(|end| *end < t) {
                 interval += 1;
             }
@@ -384,19 +378,17 @@ mod tests {
         maps.count(&member(&[(0.5, 0.5), (1.5, 0.5), (0.5, 0.5)], None));
         maps.count(&member(&[(0.5, 0.5), (9.0, 0.5), (9.0, 2.5)], None));
         maps.count(&member(&[(0.5, 0.5)], Some((0.25, (0.5, 1.5)))));
-        maps.count(&member(&[(f64::NAN, f64::NAN), (3.5, 2.5), (3.5, 2.5)], None));
         maps.count(&Member { status: Status::Failed, ..member(&[(0.5, 0.5)], None) });
         let counts = maps.total();
         let at = |values: &[u32], map: usize, x: usize, y: usize| values[map * 12 + y * 4 + x];
         assert_eq!(at(&counts.present, 0, 0, 0), 3);
         assert_eq!(at(&counts.present, 1, 1, 0), 1);
-        assert_eq!(counts.present.iter().sum::<u32>(), 5);
+        assert_eq!(counts.present.iter().sum::<u32>(), 4);
         assert_eq!((counts.outside, counts.stranded), (vec![0, 1], vec![0, 1]));
-        assert_eq!(counts.waiting, [1, 0]);
         assert_eq!(at(&counts.arrived, 0, 0, 0), 3);
         assert_eq!([0, 1, 2, 3].map(|x| at(&counts.arrived, 1, x, 0)), [0, 2, 1, 1]);
         assert_eq!(at(&counts.arrived, 1, 0, 1), 1);
-        assert_eq!(counts.arrived.iter().sum::<u32>(), 9);
+        assert_eq!(counts.arrived.iter().sum::<u32>(), 8);
         Ok(())
     }
 

@@ -1,0 +1,455 @@
+"""Forecasts on the real sea: from a geographic scenario through the compiled core to CF datasets."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from driftcore import _core
+from driftcore.dataset import STATUSES, provenance, with_maps, with_targets
+from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
+from driftcore.forecast import (
+    Fates,
+    Forecast,
+    Resampled,
+    count,
+    default_threads,
+    solver_of,
+    warn_of_failures,
+)
+from driftcore.geographic import GeographicScenario
+from driftcore.maps import MapGrid
+from driftcore.record import day_of_year, mean_cycle
+from driftcore.scenario import ModelName
+from driftcore.statistics import Probability, probability, wilson
+from driftcore.wind import LocalGridBootstrap, WindPath
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from driftcore.coast import LandCoast
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.datetime64]
+_OUTPUTS_H = 3.0
+# Members whose releases are sampled and who are followed between two reports of progress.
+_CHUNK = 1024
+
+
+def geographic_trajectory(
+    scenario: GeographicScenario,
+    path: WindPath,
+    *,
+    model: ModelName,
+    times: ArrayLike,
+    order: int | None = None,
+    rtol: float = 1e-8,
+    atol: float | None = None,
+    seed: int = 1,
+) -> xr.Dataset:
+    """Follow the first member under a given wind, whatever coast there is: see `trajectory`."""
+    import xarray as xr
+
+    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    instants = _instants(scenario, times)
+    fleet, _, _ = scenario.core_fleet(scenario.core_sea(), None, 0, 1, seed)
+    try:
+        arrays, work = fleet.trajectory(_core_path(scenario, path), solver, instants)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+    except RuntimeError as error:
+        raise DriftCoreError(str(error)) from None
+    variables: dict[str, Any] = {}
+    labels = {"": arrays[0:2], "mean_": arrays[2:4]}
+    for prefix, (position, velocity) in labels.items():
+        if not len(position):
+            continue
+        longitude, latitude = _degrees(scenario, position)
+        named = prefix + "{}"
+        variables |= {
+            named.format("longitude"): ("time", longitude, _LONGITUDE),
+            named.format("latitude"): ("time", latitude, _LATITUDE),
+            named.format("eastward_velocity"): ("time", velocity[:, 0], {"units": "m s-1"}),
+            named.format("northward_velocity"): ("time", velocity[:, 1], {"units": "m s-1"}),
+        }
+    steps = dict(zip(("steps", "rejected_steps", "evaluations"), work, strict=True))
+    attributes = {
+        "Conventions": "CF-1.11",
+        "featureType": "trajectory",
+        "model": model,
+        **({} if order is None else {"order": order}),
+        "rtol": rtol,
+        **steps,
+        **scenario.describe(),
+        **provenance("trajectory"),
+    }
+    return xr.Dataset(variables, {"time": ("time", scenario.instants(instants))}, attributes)
+
+
+def geographic_forecast(
+    scenario: GeographicScenario,
+    wind: LocalGridBootstrap | Sequence[WindPath],
+    *,
+    members: int | None = None,
+    model: ModelName = "mean-flow",
+    order: int | None = None,
+    seed: int = 1,
+    keep: int = 1000,
+    times: ArrayLike | None = None,
+    maps: MapGrid | None = None,
+    targets: Mapping[str, Any] | None = None,
+    rtol: float = 1e-6,
+    atol: float | None = None,
+    threads: int | None = None,
+    chunk: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> GeographicForecast:
+    """Follow an ensemble on the real sea: see `forecast`.
+
+    `times` are UTC, by default every 3 hours. A map's `x` are longitudes, `y` latitudes, its
+    `times` days after the earliest release, and `interval` is in days. A target is a polygon of
+    [longitude, latitude] points.
+    """
+    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    if model == "mean-flow":
+        scenario.warn()
+    seed = count("seed", seed, least=0)
+    if isinstance(wind, LocalGridBootstrap):
+        members = 1000 if members is None else count("members", members)
+        phase = _phase(wind, scenario)
+        resampled = Resampled(scenario, wind, solver, seed, phase)
+        resampled.warn()
+        winds: Any = resampled.core
+        attributes = resampled.attributes()
+    elif isinstance(wind, Sequence) and all(isinstance(path, WindPath) for path in wind):
+        if members not in (None, len(wind)):
+            raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
+        members = len(wind)
+        winds = [_core_path(scenario, path) for path in wind]
+        attributes = {"wind_label": f"{members} wind paths given in Python"}
+    else:
+        raise ScenarioError(
+            f"wind: {type(wind).__name__} is not accepted; a fitted LocalGridBootstrap, or a list "
+            "of WindPath with datetime64 times"
+        )
+    keep = min(count("keep", keep, least=0), members)
+    threads = count("threads", default_threads() if threads is None else threads)
+    chunk = count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
+    if times is None:
+        steps = math.ceil(scenario.days * 24 / _OUTPUTS_H - 1e-9)
+        start = scenario.since_origin(scenario.start)
+        instants = np.linspace(start, scenario.duration, max(1, steps) + 1)
+    else:
+        instants = _instants(scenario, times)
+    sea, coast = scenario.core_sea(), scenario.core_coast()
+    areas = [_area(scenario, name, ring) for name, ring in (targets or {}).items()]
+    counted, grid = _maps(scenario, maps, threads)
+
+    fates = Fates.empty(members, keep, len(instants), len(areas))
+    release = np.full((members, 2), np.nan)
+    release_time = np.full(members, np.nan)
+    failure = None
+    for first in range(0, members, chunk):
+        rows = slice(first, min(first + chunk, members))
+        number = rows.stop - first
+        fleet, release[rows], release_time[rows] = scenario.core_fleet(
+            sea, coast, first, number, seed
+        )
+        try:
+            failed = fleet.run(
+                winds, solver, first, instants, keep, fates.rows(rows), threads, areas, counted
+            )
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
+        failure = failure or failed
+        if progress is not None:
+            progress(rows.stop, members)
+    warn_of_failures(fates.status, failure)
+    dataset = _dataset(scenario, fates, instants, release, release_time)
+    dataset.attrs |= {
+        "title": f"Drift forecast: {scenario.name}, {members} members",
+        "model": model,
+        **({} if order is None else {"order": order}),
+        "rtol": rtol,
+        "seed": np.uint64(seed),
+        "members": members,
+        **attributes,
+        **scenario.describe(),
+        "configuration": "# made in Python",
+        **provenance(f"forecast of {members} members"),
+    }
+    if counted is not None and grid is not None and maps is not None:
+        followed = members - int((fates.status == STATUSES.index("failed")).sum())
+        dataset = with_maps(dataset, grid, counted.counts(), followed)
+        dataset = _geographic_maps(scenario, dataset, maps)
+    if targets:
+        entries = scenario.instants(fates.entry_time)
+        dataset = with_targets(dataset, list(targets), fates.entry_time)
+        dataset["entry_time"] = (("member", "target"), entries, {"long_name": "first entry"})
+    return GeographicForecast(dataset)
+
+
+@dataclass(frozen=True)
+class GeographicForecast(Forecast):
+    """A forecast on the real sea.
+
+    Attributes
+    ----------
+    dataset : xarray.Dataset
+        By `member`: `status`, `stranding_time` (UTC, NaT where not stranded),
+        `stranding_longitude`, `stranding_latitude`, `release_time`, `release_longitude`,
+        `release_latitude`; `longitude` and `latitude` (member or kept_member, time) [degrees].
+    """
+
+    def stranding_probability(self, by: Any = None) -> Probability:
+        """Probability of having stranded by a time (UTC; default: the end of the run)."""
+        return self._by("stranding_time", by)
+
+    def entry_probability(self, target: str, by: Any = None) -> Probability:
+        """Probability of having entered a target by a time (UTC; default: the end of the run)."""
+        self._require_target(target)
+        times = self.dataset["entry_time"].sel(target=target).values
+        return self._counted(times, by)
+
+    def _by(self, name: str, by: Any) -> Probability:
+        return self._counted(self.dataset[name].values, by)
+
+    def _counted(self, times: Times, by: Any) -> Probability:
+        limit = np.datetime64("2262-01-01", "ns") if by is None else np.datetime64(by, "ns")
+        # NaT is not before anything.
+        return probability(int((times <= limit).sum()), self.followed)
+
+    @property
+    def stranded(self) -> NDArray[np.bool_]:
+        """Which members stranded."""
+        flags: NDArray[np.bool_] = self.dataset["status"].values == STATUSES.index("stranded")
+        return flags
+
+    def stranding_by_stretch(self, coast: LandCoast) -> xr.Dataset:
+        """Probability of stranding, and when, by stretch of a coast.
+
+        Parameters
+        ----------
+        coast : LandCoast
+            With stretches: named (`with_stretches`) or of equal length (`divide`).
+
+        Returns
+        -------
+        xarray.Dataset
+            By `stretch`: `probability`, `low`, `high` (95 % Wilson) and `time_quantile`
+            (quantile, stretch) of the stranding time since the earliest release [d]. What strands
+            outside all stretches is called "elsewhere".
+        """
+        import xarray as xr
+
+        dataset = self.dataset
+        names = [*coast.stretch_names, "elsewhere"]
+        points = np.column_stack(
+            [dataset["stranding_longitude"].values, dataset["stranding_latitude"].values]
+        )[self.stranded]
+        stretch = np.full(len(points), -1)
+        if len(points):
+            stretch = coast.stretch_of(points)
+        stretch = np.where(stretch < 0, len(names) - 1, stretch)
+        start = np.datetime64(dataset.attrs["start"], "ns")
+        days = (dataset["stranding_time"].values[self.stranded] - start) / np.timedelta64(1, "D")
+        counts = np.bincount(stretch, minlength=len(names))
+        low, high = wilson(counts, self.followed)
+        levels = [0.05, 0.5, 0.95]
+        quantiles = np.full((len(levels), len(names)), np.nan)
+        for k in np.flatnonzero(counts):
+            quantiles[:, k] = np.quantile(days[stretch == k], levels)
+        return xr.Dataset(
+            {
+                "probability": ("stretch", counts / self.followed),
+                "low": ("stretch", low),
+                "high": ("stretch", high),
+                "time_quantile": (("quantile", "stretch"), quantiles, {"units": "days"}),
+            },
+            {"stretch": names, "quantile": levels},
+        )
+
+    def stranding_time_quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> xr.DataArray:
+        """Quantiles of the time from the earliest release to the stranding [d]; NaN where none."""
+        import xarray as xr
+
+        start = np.datetime64(self.dataset.attrs["start"], "ns")
+        times = self.dataset["stranding_time"].values[self.stranded]
+        days = (times - start) / np.timedelta64(1, "D")
+        values = np.quantile(days, levels) if len(days) else np.full(len(levels), np.nan)
+        return xr.DataArray(
+            values, {"quantile": list(levels)}, name="stranding_time", attrs={"units": "days"}
+        )
+
+    def _places(self) -> Floats:
+        """Places of stranding relative to the middle of the releases, in local degrees of arc."""
+        dataset = self.dataset
+        longitude = dataset["stranding_longitude"].values - dataset["release_longitude"].values
+        latitude = dataset["stranding_latitude"].values - dataset["release_latitude"].values
+        shrink = np.cos(np.radians(dataset["release_latitude"].values))
+        return np.column_stack([longitude * shrink, latitude])[self.stranded]
+
+
+_LONGITUDE = {"standard_name": "longitude", "units": "degrees_east", "axis": "X"}
+_LATITUDE = {"standard_name": "latitude", "units": "degrees_north", "axis": "Y"}
+
+
+def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, Floats]:
+    """Longitude in [-180, 180) and latitude of positions relative to the reference."""
+    longitude, latitude = np.moveaxis(positions + np.array(scenario.reference), -1, 0)
+    return (longitude + 180) % 360 - 180, latitude
+
+
+def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
+    """UTC times as days since the origin."""
+    try:
+        instants = np.atleast_1d(np.asarray(times, dtype="datetime64[ns]"))
+    except (TypeError, ValueError):
+        raise ScenarioError("times: must be UTC times, datetime64") from None
+    if instants.ndim != 1 or not len(instants) or np.isnat(instants).any():
+        raise ScenarioError("times: must be UTC times, datetime64")
+    if (np.diff(instants) < np.timedelta64(0, "ns")).any():
+        raise ScenarioError("times: must increase")
+    if instants[0] < scenario.start or instants[-1] > scenario.end:
+        raise ScenarioError(
+            f"times: {instants[0]} to {instants[-1]} is not accepted; the run covers "
+            f"{scenario.start} to {scenario.end}"
+        )
+    return np.asarray(np.minimum(scenario.since_origin(instants), scenario.duration))
+
+
+def _core_path(scenario: GeographicScenario, path: WindPath) -> _core.WindPath:
+    """A path of UTC times in the time of the run."""
+    if not isinstance(path, WindPath):
+        raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
+    if path.instants is None:
+        raise ScenarioError("path: its times are numbers; a geographic scenario needs datetime64")
+    return _core.WindPath(scenario.since_origin(path.instants), path.velocity)
+
+
+def _phase(wind: LocalGridBootstrap, scenario: GeographicScenario) -> int:
+    """Phase of the mean cycle of a wind at the origin of a run."""
+    record = wind.record
+    month = int(scenario.start.astype("datetime64[M]").astype(int)) % 12 + 1
+    if month not in record.months:
+        warnings.warn(
+            f"the run starts in month {month}, the wind was resampled from months "
+            f"{', '.join(map(str, record.months))}",
+            DriftCoreWarning,
+            stacklevel=4,
+        )
+    phase, _ = mean_cycle(record)
+    midnight = record.times == record.times.astype("datetime64[D]")
+    if not midnight.any():
+        # Of a record whose first hour of the day is not 0: the nearest one.
+        of_day = record.times - record.times.astype("datetime64[D]")
+        midnight = of_day == of_day.min()
+    rows = np.flatnonzero(midnight)
+    days = np.abs(day_of_year(record.times[rows]) - day_of_year(np.array([scenario.origin])))
+    return int(phase[rows[np.argmin(np.minimum(days, 365 - days))]])
+
+
+def _area(scenario: GeographicScenario, name: str, ring: Any) -> _core.Coast:
+    points = np.asarray(getattr(getattr(ring, "exterior", ring), "coords", ring), dtype=float)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ScenarioError(f"targets.{name}: must be a polygon, or [longitude, latitude] points")
+    points = points - np.array(scenario.reference)
+    points[:, 0] -= 360 * np.round(points[:, 0].mean() / 360)
+    try:
+        return _core.Coast.polygons([np.ascontiguousarray(points)], False)
+    except ValueError as error:
+        raise ScenarioError(f"targets.{name}: {error}") from None
+
+
+def _maps(
+    scenario: GeographicScenario, maps: MapGrid | None, threads: int
+) -> tuple[_core.Maps | None, MapGrid | None]:
+    """Maps in the coordinates of the run."""
+    if maps is None:
+        return None, None
+    longitude = np.array(maps.x) - scenario.reference[0]
+    longitude -= 360 * np.round(longitude.mean() / 360)
+    start = float(scenario.since_origin(scenario.start))
+    grid = MapGrid(
+        x=tuple(longitude),
+        y=tuple(np.array(maps.y) - scenario.reference[1]),
+        times=tuple(start + np.array(maps.times)),
+        interval=maps.interval,
+    )
+    try:
+        grid.check(scenario.duration, scenario.period)
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+    interval = maps.interval or scenario.period / 8
+    steps = math.ceil(scenario.days / interval - 1e-9)
+    samples = np.linspace(start, scenario.duration, steps + 1)
+    return grid.core(np.union1d(samples, grid.times), threads), grid
+
+
+def _geographic_maps(
+    scenario: GeographicScenario, dataset: xr.Dataset, maps: MapGrid
+) -> xr.Dataset:
+    """Name the axes of maps by what they are."""
+    x, y = np.array(maps.x), np.array(maps.y)
+    times = scenario.start + (np.array(maps.times) * 86_400e9).astype("timedelta64[ns]")
+    return dataset.rename({"x": "map_longitude", "y": "map_latitude"}).assign_coords(
+        map_longitude=("map_longitude", (x[1:] + x[:-1]) / 2, _LONGITUDE),
+        map_latitude=("map_latitude", (y[1:] + y[:-1]) / 2, _LATITUDE),
+        map_time=("map_time", times, {"standard_name": "time", "axis": "T"}),
+    )
+
+
+def _dataset(
+    scenario: GeographicScenario,
+    fates: Fates,
+    instants: Floats,
+    release: Floats,
+    release_time: Floats,
+) -> xr.Dataset:
+    import xarray as xr
+
+    members, kept = len(fates.status), len(fates.position)
+    dim = "member" if kept == members else "kept_member"
+    longitude, latitude = _degrees(scenario, fates.position)
+    stranded = _degrees(scenario, fates.stranding_position)
+    released = _degrees(scenario, release)
+    status = {
+        "long_name": "how the member ended",
+        "flag_values": np.arange(len(STATUSES), dtype=np.int8),
+        "flag_meanings": " ".join(STATUSES),
+    }
+    variables: dict[str, Any] = {
+        "status": ("member", fates.status, status),
+        "stranding_time": (
+            "member",
+            scenario.instants(fates.stranding_time),
+            {"long_name": "time of stranding"},
+        ),
+        "stranding_longitude": ("member", stranded[0], _LONGITUDE),
+        "stranding_latitude": ("member", stranded[1], _LATITUDE),
+        "release_time": ("member", scenario.instants(release_time)),
+        "release_longitude": ("member", released[0], _LONGITUDE),
+        "release_latitude": ("member", released[1], _LATITUDE),
+        "longitude": ((dim, "time"), longitude, _LONGITUDE),
+        "latitude": ((dim, "time"), latitude, _LATITUDE),
+    }
+    member_attributes = {"cf_role": "trajectory_id", "long_name": "member of the ensemble"}
+    coordinates: dict[str, Any] = {
+        "member": ("member", np.arange(members), member_attributes),
+        "time": ("time", scenario.instants(instants), {"standard_name": "time", "axis": "T"}),
+    }
+    if dim != "member":
+        coordinates[dim] = (dim, np.arange(kept), {"long_name": "member whose path was kept"})
+    attributes = {
+        "Conventions": "CF-1.11",
+        "featureType": "trajectory",
+        "reference": json.dumps(scenario.reference),
+    }
+    return xr.Dataset(variables, coordinates, attributes)
