@@ -25,7 +25,7 @@ import xarray as xr
 
 import driftcore as dc
 from driftcore.errors import DriftCoreWarning
-from driftcore.forecast import _compiled, _Resampled, _solver, regular_times
+from driftcore.forecast import Fates, Resampled, _compiled, regular_times, solver_of
 from driftcore.markdown import paragraphs, table
 
 if TYPE_CHECKING:
@@ -87,10 +87,9 @@ def follow(scenario: dc.Scenario, members: int, model: Any) -> dc.Forecast:
 def per_member(scenario: dc.Scenario, members: int, model: Any, repeats: int) -> float:
     """CPU time of following a member, without what is prepared once for all of them."""
     compiled = _compiled(scenario)
-    _, solver = _solver(scenario, model, None, None, True, "B", 1e-6, None)
-    winds = _Resampled(scenario, dc.paper.default_wind(), solver, seed=1)
-    status, times, places = np.zeros(members, np.int8), np.zeros(members), np.zeros((members, 2))
-    fates = (status, times, places, np.zeros((0, 1, 2)), np.zeros((members, 0)))
+    _, solver = solver_of(scenario, model, None, None, True, "B", 1e-6, None)
+    winds = Resampled(scenario, dc.paper.default_wind(), solver, seed=1)
+    fates = Fates.empty(members, 0, 1, 0).rows(slice(members))
     return (
         cpu(
             lambda: compiled.run(winds.core, solver, 0, np.array([1.0]), 0, fates, 1, []),

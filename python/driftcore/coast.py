@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from driftcore.errors import DriftCoreWarning, ScenarioError
+from driftcore.errors import DriftCoreWarning, ScenarioError, need_geo
 
 if TYPE_CHECKING:
     import pyproj
@@ -34,11 +34,13 @@ Box = tuple[float, float, float, float]
 _CIRCLE = 360.0
 _POINTS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 _SHOWN = 3
+# A side so long, straight in longitude and latitude, bends by less than a metre in a plane.
+_STRAIGHT = 0.05
 
 
 def geodesic() -> pyproj.Geod:
     """Give the ellipsoid that distances are measured on, WGS 84."""
-    _need("pyproj")
+    need_geo("pyproj")
     import pyproj
 
     return pyproj.Geod(ellps="WGS84")
@@ -120,7 +122,7 @@ class LandCoast:
         file = Path(path)
         if not file.exists():
             raise ScenarioError(f"path: '{file}' is not accepted; there is no such file")
-        _need("shapely")
+        need_geo("shapely")
         suffixes = [suffix.lower() for suffix in file.suffixes[-2:] if suffix.lower() != ".gz"]
         if suffixes and suffixes[-1] in {".geojson", ".json"}:
             geometries, names, system = _read_geojson(file, name_column)
@@ -159,7 +161,7 @@ class LandCoast:
         DriftCoreWarning
             A polygon crossed itself and was repaired.
         """
-        _need("shapely")
+        need_geo("shapely", "scipy")
         import shapely
 
         given = [geometries] if isinstance(geometries, shapely.Geometry) else list(geometries)
@@ -173,6 +175,8 @@ class LandCoast:
         polygons, owner = _polygons(shapely.force_2d(shapes), label)
         _check_degrees(polygons, label)
         polygons, source = _repaired(_unwrapped(polygons, label), owner, label)
+        if not len(polygons):
+            raise ScenarioError(f"{label}: holds no polygon with an area; land should be polygons")
         labels = [None] * len(given) if names is None else list(names)
         whole = cls(polygons, tuple(labels[k] for k in source), label)
         return whole.around(0.0)
@@ -277,6 +281,9 @@ class LandCoast:
                 "accepted; east should be above west by at most 360, and north above south"
             )
         if self.box is not None:
+            middle = (west + east) / 2
+            turn = float(near_longitude(middle, self.reference)) - middle
+            west, east = west + turn, east + turn
             w, e, s, n = self.box
             if not (w <= west and east <= e and s <= south and north <= n):
                 raise ScenarioError(
@@ -398,9 +405,9 @@ class LandCoast:
             return math.inf, math.nan
         # True distance from its centre, so that the nearest point of the plane is the nearest.
         plane = _plane(longitude, latitude)
-        projected: Any = shapely.linestrings(
-            np.concatenate([np.column_stack(plane.transform(*line.T)) for line in lines]),
-            indices=np.repeat(np.arange(len(lines)), [len(line) for line in lines]),
+        fine = shapely.segmentize([shapely.LineString(line) for line in lines], _STRAIGHT)
+        projected = shapely.transform(
+            fine, lambda x: np.column_stack(plane.transform(x[:, 0], x[:, 1]))
         )
         origin = shapely.Point(0, 0)
         nearest = projected[np.argmin(shapely.distance(projected, origin))]
@@ -597,15 +604,6 @@ def _stretch(name: str, value: Any) -> BaseGeometry:
     return shapely.union_all(turns)
 
 
-def _need(module: str) -> None:
-    from importlib.util import find_spec
-
-    if find_spec(module) is None:
-        raise ScenarioError(
-            f'{module}: is not installed; pip install "driftcore[geo]" brings what coasts need'
-        )
-
-
 def _check_within(name: str, value: Any, low: float, high: float) -> None:
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not number or not low <= value <= high:
@@ -628,7 +626,9 @@ def _read_geojson(file: Path, name_column: str | None) -> tuple[Geometries, list
         document = json.loads(gzip.decompress(data) if file.suffix.lower() == ".gz" else data)
     except (OSError, EOFError, ValueError) as error:
         raise ScenarioError(f"{file}: cannot be read as GeoJSON: {error}") from None
-    kind = document.get("type") if isinstance(document, dict) else None
+    if not isinstance(document, dict):
+        raise ScenarioError(f"{file}: cannot be read as GeoJSON: it holds no object")
+    kind = document.get("type")
     if kind == "FeatureCollection":
         features = document.get("features") or []
     else:
@@ -646,15 +646,16 @@ def _read_geojson(file: Path, name_column: str | None) -> tuple[Geometries, list
         known = sorted({key for f in features for key in f.get("properties") or {}})
         raise ScenarioError(_no_column(name_column, known))
     # RFC 7946 has longitude and latitude only; the GeoJSON before it could name another system.
-    named = document.get("crs") if isinstance(document, dict) else None
-    system = ((named or {}).get("properties") or {}).get("name", "OGC:CRS84")
+    system = "OGC:CRS84"
+    if isinstance(document.get("crs"), dict):
+        system = document["crs"].get("properties", {}).get("name", system)
     return _array(geometries), names, system
 
 
 def _read_layer(
     file: Path, name_column: str | None, layer: str | None
 ) -> tuple[Geometries, list[Any], str | None]:
-    _need("pyogrio")
+    need_geo("pyogrio")
     import pyogrio  # type: ignore[import-untyped]  # has no types
     import shapely
 
@@ -700,7 +701,7 @@ def _in_degrees(geometries: Geometries, system: str | None, label: str) -> Geome
         return geometries
     if system.upper() in {"EPSG:4326", "OGC:CRS84", "URN:OGC:DEF:CRS:OGC:1.3:CRS84"}:
         return geometries
-    _need("pyproj")
+    need_geo("pyproj")
     import pyproj
 
     try:
@@ -858,7 +859,7 @@ def _joined(
 
 def _plane(longitude: float, latitude: float) -> pyproj.Transformer:
     """Give the plane [m] that shows distances and bearings from a point as they are."""
-    _need("pyproj")
+    need_geo("pyproj")
     import pyproj
 
     return pyproj.Transformer.from_crs(

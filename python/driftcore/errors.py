@@ -19,3 +19,20 @@ class OutputError(DriftCoreError, OSError):
 
 class DriftCoreWarning(UserWarning):
     """Something suspicious that does not stop the work."""
+
+
+def need_geo(*modules: str) -> None:
+    """Refuse to go on where a library of the real sea is not installed.
+
+    Raises
+    ------
+    DriftCoreError
+        It is not; the message says what brings it.
+    """
+    from importlib.util import find_spec
+
+    for module in modules:
+        if find_spec(module) is None:
+            raise DriftCoreError(
+                f'the real sea needs {module}, which is not installed: pip install "driftcore[geo]"'
+            )

@@ -346,7 +346,7 @@ class GeographicScenario:
             bodies[:, 6:8] = self.drifter.sample(uniforms, jibed=True)[:, 2:]
         else:
             response, factor = self.drifter.sample(uniforms).T
-            bodies[:, 0], bodies[:, 1], bodies[:, 2] = response / 24, factor, factor
+            bodies[:, 0], bodies[:, 1], bodies[:, 2] = response / _SECONDS_PER_DAY, factor, factor
         share, angle = self.wind_current
         bodies[:, 8] = share * math.cos(math.radians(angle))
         bodies[:, 9] = share * math.sin(math.radians(angle))

@@ -196,7 +196,7 @@ def geographic_forecast(
     return GeographicForecast(dataset)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class GeographicForecast(Forecast):
     """A forecast on the real sea.
 

@@ -15,7 +15,7 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, field_validator, mode
 
 from driftcore.configuration import Configuration
 from driftcore.draws import Stream, member_uniforms
-from driftcore.errors import ScenarioError
+from driftcore.errors import ScenarioError, need_geo
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,6 +30,7 @@ _LINES = ("downwind", "right", "left")
 
 def _normal_between(uniforms: Float, low: float, high: float) -> Float:
     """Quantiles of the standard normal law, cut to [low, high]."""
+    need_geo("scipy")
     from scipy.special import ndtr, ndtri
 
     if low > 0:

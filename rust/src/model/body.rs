@@ -181,6 +181,9 @@ impl Drift<'_> {
         // Steps shorter than the rounding of time cannot be made.
         let shortest = 1e-12 * (end - start);
         corners.dedup_by(|later, earlier| *later - *earlier <= shortest);
+        if let Some(last) = corners.last_mut() {
+            *last = end;
+        }
         corners
     }
 
