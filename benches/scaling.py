@@ -48,7 +48,7 @@ class Effort:
     compared: int  # members whose strandings are compared
 
 
-DEFAULT = Effort(repeats=3, paper=1024, gridded=64, rounds=7, most=1e6, compared=512)
+DEFAULT = Effort(repeats=3, paper=1024, gridded=256, rounds=7, most=1e6, compared=512)
 QUICK = Effort(repeats=1, paper=128, gridded=32, rounds=3, most=1e4, compared=64)
 
 
