@@ -277,6 +277,7 @@ def averaged_beside_full(effort: Effort) -> list[list[str]]:
 def draw(found: list[Sweep], path: Path) -> None:
     """One panel for each growth, and a line of its exponent through each."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     figure = Figure(figsize=(7.0, 4.9), layout="constrained", dpi=200)
     axes = figure.subplots(2, 3).ravel()
@@ -293,7 +294,7 @@ def draw(found: list[Sweep], path: Path) -> None:
             ax.annotate(
                 f"{exponent:.2f}",
                 (sizes[-1], values[-1]),
-                xytext=(0, 6),
+                xytext=(0, 7 if model == MODELS[-1] or len(sweep.cost) == 1 else -13),
                 textcoords="offset points",
                 ha="right",
                 color=COLOURS[model],
@@ -303,13 +304,17 @@ def draw(found: list[Sweep], path: Path) -> None:
         ax.set_xlabel(sweep.label, fontsize=8)
         ax.set_ylabel(sweep.unit, fontsize=8)
         ax.tick_params(labelsize=7)
+        if max(map(max, sweep.cost.values())) < 100 * min(map(min, sweep.cost.values())):
+            ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
         ax.grid(True, which="major", color="#DDDDDD", linewidth=0.6)
         if sizes[-1] / sizes[0] < 100:
             ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
             ax.minorticks_off()
         low, high = ax.get_ylim()
         # At least a decade, so that noise on a level line does not fill the panel.
-        middle, half = math.sqrt(low * high), max(math.sqrt(high / low) * 1.2, math.sqrt(10))
+        middle, half = math.sqrt(low * high), max(math.sqrt(high / low) * 1.3, math.sqrt(10))
         ax.set_ylim(middle / half, middle * half)
     legend = axes[-1]
     legend.axis("off")
