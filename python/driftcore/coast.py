@@ -34,6 +34,8 @@ Box = tuple[float, float, float, float]
 _CIRCLE = 360.0
 _POINTS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 _SHOWN = 3
+# Sides in a line that is searched as one.
+_PIECE = 64
 # A side so long, straight in longitude and latitude, bends by less than a metre in a plane.
 _STRAIGHT = 0.05
 
@@ -337,10 +339,19 @@ class LandCoast:
         return [np.ascontiguousarray(part[:-1]) for part in parts]
 
     @cached_property
-    def _tree(self) -> shapely.STRtree:
+    def _shore(self) -> tuple[shapely.STRtree, Integer]:
+        """Short lines of the rings, to find the nearest among, and the polygon of each."""
         import shapely
 
-        return shapely.STRtree(self.polygons)
+        rings, polygon = shapely.get_rings(self.polygons, return_index=True)
+        lines = [shapely.get_coordinates(ring) for ring in rings]
+        pieces = [
+            (line[k : k + _PIECE + 1], owner)
+            for line, owner in zip(lines, polygon, strict=True)
+            for k in range(0, len(line) - 1, _PIECE)
+        ]
+        drawn = [shapely.LineString(piece) for piece, _ in pieces]
+        return shapely.STRtree(drawn), np.array([owner for _, owner in pieces], dtype=np.int64)
 
     def _points(self, points: ArrayLike) -> Geometries:
         import shapely
@@ -355,7 +366,7 @@ class LandCoast:
         return np.atleast_1d(np.asarray(shapely.points(longitudes, values[:, 1]), dtype=object))
 
     def polygon_of(self, points: ArrayLike) -> Integer:
-        """Say on which polygon points of the coast lie: the nearest.
+        """Say on which polygon points of the coast lie: the one that holds them, or the nearest.
 
         Parameters
         ----------
@@ -367,10 +378,18 @@ class LandCoast:
         ndarray of int, shape (n,)
             Index into `polygons` and `names`; -1 where there is no land at all.
         """
+        import shapely
+
         given = self._points(points)
+        found = np.full(len(given), -1)
         if not len(self):
-            return np.full(len(given), -1)
-        return np.asarray(self._tree.nearest(given), dtype=np.int64)
+            return found
+        polygon, point = shapely.STRtree(given).query(self.polygons, predicate="intersects")
+        found[point] = polygon
+        rest = found < 0
+        tree, owner = self._shore
+        found[rest] = owner[tree.nearest(given[rest])]
+        return found
 
     def is_land(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Say which points, shape (n, 2) [degrees], lie on land or on its edge; shape (n,)."""

@@ -167,7 +167,7 @@ class Current(VectorGrid):
         dx = np.deg2rad(self.longitude[1] - self.longitude[0]) * _EARTH_RADIUS
         along_y, along_x = np.gradient(velocity, dy, dx, axis=(2, 3))
         along_x /= np.maximum(np.cos(np.deg2rad(self.latitude)), 1e-3)[:, None]
-        gradient2 = square(along_x) + square(along_y)
+        gradient2 = square(np.asarray(along_x)) + square(np.asarray(along_y))
         mean = velocity.mean(axis=1, keepdims=True)
         rate2 = 0.0
         if len(self.times) > 1:

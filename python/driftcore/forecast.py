@@ -278,8 +278,8 @@ def forecast(
         keep=keep,
         outputs_per_tide=max(1, len(instants) - 1) * scenario.period / scenario.duration,
     )
-    threads = count("threads", default_threads() if threads is None else threads)
-    chunk = count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
+    threads = checked_count("threads", default_threads() if threads is None else threads)
+    chunk = checked_count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
     keep = min(keep, members)
     compiled = _compiled(scenario)
     shapes: Any = targets or {}  # of which the configuration makes polygons
@@ -445,7 +445,7 @@ class Forecast:
 
         from driftcore.statistics import wilson
 
-        sectors = count("sectors", sectors)
+        sectors = checked_count("sectors", sectors)
         self.stranding_probability()  # refuses where no member could be followed
         places = self._places()
         bearing = np.degrees(np.arctan2(places[:, 0], places[:, 1]))
@@ -594,7 +594,7 @@ def member_path(
     """
     solver = _core.Solver.paper(1, 4 * scenario.period, True, 1e-8, 1e-8, None)
     winds = Resampled(scenario, wind, solver, seed)
-    member, seed = count("member", member, least=0), count("seed", seed, least=0)
+    member, seed = checked_count("member", member, least=0), checked_count("seed", seed, least=0)
     return WindPath(*winds.generator.path(seed, member, winds.end))
 
 
@@ -731,6 +731,7 @@ def solver_of(
     atol: float | None,
     euler_step: float | None = None,
 ) -> tuple[int | None, _core.Solver]:
+    """Check a model and its numbers; give its order and the compiled solver."""
     try:
         order = check_order(model, order)
     except ValueError as error:
@@ -781,7 +782,13 @@ class Fates(NamedTuple):
 
     def rows(self, rows: slice) -> Fates:
         """Those of some members, as views."""
-        return Fates(*(array[rows] for array in self))
+        return Fates(
+            self.status[rows],
+            self.stranding_time[rows],
+            self.stranding_position[rows],
+            self.position[rows],
+            self.entry_time[rows],
+        )
 
 
 class Resampled:
@@ -831,6 +838,7 @@ class Resampled:
         return self.times, wind[:, self.lead_in :]
 
     def configuration(self) -> WindConfiguration:
+        """Give what names the wind in a stored run."""
         known = self.wind.config()
         if self.wind.record.synthetic:
             known["record"] = "embedded"
@@ -840,6 +848,7 @@ class Resampled:
         return WindConfiguration(**{name: known[name] for name in fields if name in known})
 
     def attributes(self) -> dict[str, Any]:
+        """Give what tells a reader the record."""
         record = self.wind.record
         return {
             "wind_label": record.label,
@@ -848,6 +857,7 @@ class Resampled:
         }
 
     def warn(self) -> None:
+        """Warn where the run is longer than the season."""
         if self.scenario.duration_days > self.wind.span_days:
             warnings.warn(
                 f"the run lasts {self.scenario.duration_days:.0f} days, the months chosen "
@@ -927,17 +937,20 @@ def _output_times(times: ArrayLike, duration: float) -> Floats:
     return np.ascontiguousarray(instants)
 
 
-def count(field: str, value: int, least: int = 1) -> int:
+def checked_count(field: str, value: int, least: int = 1) -> int:
+    """Refuse what is not a whole number from `least` up."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ScenarioError(f"{field}: {value!r} is not accepted; a whole number from {least} up")
     return int(value)
 
 
 def default_threads() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpucount() or 1
+    """Give the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def warn_of_failures(status: NDArray[np.int8], first: str | None) -> None:
+    """Warn of members that could not be followed, with the first failure."""
     failed = np.flatnonzero(status == STATUSES.index("failed"))
     if len(failed):
         warnings.warn(

@@ -12,6 +12,7 @@ import numpy as np
 
 from driftcore.errors import DriftCoreWarning, ScenarioError
 from driftcore.objects import FloatingBody, Leeway
+from driftcore.releases import Release, Releases
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from driftcore import _core
     from driftcore.coast import LandCoast
     from driftcore.currents import Current
-    from driftcore.releases import Release, Releases
     from driftcore.tides import TidalAtlas
 
     Floats = NDArray[np.float64]
@@ -150,23 +150,27 @@ class GeographicScenario:
     @cached_property
     def start(self) -> np.datetime64:
         """Earliest release, UTC."""
-        releases = getattr(self.release, "releases", None) or (self.release,)
+        release = self.release
+        releases = (release,) if isinstance(release, Release) else release.releases
         return min(np.datetime64(r.start.replace(tzinfo=None), "ns") for r in releases)
 
     @cached_property
     def origin(self) -> np.datetime64:
         """Midnight before it, UTC: time 0 of the run, so that the wind has its time of the day."""
-        return self.start.astype("datetime64[D]").astype("datetime64[ns]")
+        midnight: np.datetime64 = self.start.astype("datetime64[D]").astype("datetime64[ns]")
+        return midnight
 
     @property
     def end(self) -> np.datetime64:
         """End of the run, UTC."""
-        return self.start + np.timedelta64(round(self.days * 86_400e9), "ns")
+        length = np.timedelta64(round(self.days * 86_400e9), "ns")
+        end: np.datetime64 = self.start + length
+        return end
 
     @cached_property
     def duration(self) -> float:
         """Time of the end, from the origin [d]."""
-        return self.since_origin(self.end)
+        return float(self.since_origin(self.end))
 
     @property
     def duration_days(self) -> float:
@@ -178,7 +182,7 @@ class GeographicScenario:
         return (np.asarray(times, dtype="datetime64[ns]") - self.origin) / _DAY
 
     def instants(self, days: Floats) -> NDArray[np.datetime64]:
-        """Times so many days after the origin, UTC; NaT where NaN."""
+        """Give times so many days after the origin, UTC; NaT where NaN."""
         nanoseconds = np.where(np.isnan(days), 0, np.round(days * 86_400e9)).astype(np.int64)
         times = self.origin + nanoseconds.astype("timedelta64[ns]")
         return np.where(np.isnan(days), np.datetime64("NaT", "ns"), times)
@@ -226,7 +230,7 @@ class GeographicScenario:
         from driftcore.currents import filled
         from driftcore.sea import _axis, _spline_coefficients
 
-        def splines(fields: NDArray[Any], longitude: Floats, latitude: Floats) -> Any:
+        def splines(fields: NDArray[Any], latitude: Floats) -> Any:
             """Spline coefficients (time, y, x, channel) of (time, y, x, channel) in m/s."""
             metric = np.stack([_DEGREES / np.cos(np.radians(latitude)), 0 * latitude + _DEGREES])
             scaled = fields * np.tile(metric, (fields.shape[-1] // 2, 1)).T[:, None, :]
@@ -258,14 +262,14 @@ class GeographicScenario:
                 )
             ]
             grid = axes(longitude, latitude, np.zeros(1))
-            coefficients = splines(fields, longitude, latitude)
+            coefficients = splines(fields, latitude)
             seas.append(_core.Sea.constituents(self.period, grid, lines, coefficients))
         if self.current is not None:
             current = self.current
             times = self.since_origin(current.times) if len(current.times) > 1 else np.zeros(1)
             grid = axes(current.longitude, current.latitude, times)
             fields = np.stack([current.u, current.v], axis=-1)
-            coefficients = splines(fields, current.longitude, current.latitude)
+            coefficients = splines(fields, current.latitude)
             seas.append(_core.Sea.gridded(self.period, grid, 0, coefficients))
         if not seas:
             nowhere: list[Any] = [(0.0, 1.0, 1)] * 3

@@ -1,4 +1,4 @@
-"""Forecasts on the real sea: from a geographic scenario through the compiled core to CF datasets."""
+"""Forecasts on the real sea: geographic scenarios through the compiled core to CF datasets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from driftcore.forecast import (
     Fates,
     Forecast,
     Resampled,
-    count,
+    checked_count,
     default_threads,
     solver_of,
     warn_of_failures,
@@ -120,9 +120,9 @@ def geographic_forecast(
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     if model == "mean-flow":
         scenario.warn()
-    seed = count("seed", seed, least=0)
+    seed = checked_count("seed", seed, least=0)
     if isinstance(wind, LocalGridBootstrap):
-        members = 1000 if members is None else count("members", members)
+        members = 1000 if members is None else checked_count("members", members)
         phase = _phase(wind, scenario)
         resampled = Resampled(scenario, wind, solver, seed, phase)
         resampled.warn()
@@ -139,9 +139,9 @@ def geographic_forecast(
             f"wind: {type(wind).__name__} is not accepted; a fitted LocalGridBootstrap, or a list "
             "of WindPath with datetime64 times"
         )
-    keep = min(count("keep", keep, least=0), members)
-    threads = count("threads", default_threads() if threads is None else threads)
-    chunk = count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
+    keep = min(checked_count("keep", keep, least=0), members)
+    threads = checked_count("threads", default_threads() if threads is None else threads)
+    chunk = checked_count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
     if times is None:
         steps = math.ceil(scenario.days * 24 / _OUTPUTS_H - 1e-9)
         start = scenario.since_origin(scenario.start)
@@ -302,13 +302,13 @@ _LATITUDE = {"standard_name": "latitude", "units": "degrees_north", "axis": "Y"}
 
 
 def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, Floats]:
-    """Longitude in [-180, 180) and latitude of positions relative to the reference."""
+    """Give longitude in [-180, 180) and latitude of positions relative to the reference."""
     longitude, latitude = np.moveaxis(positions + np.array(scenario.reference), -1, 0)
     return (longitude + 180) % 360 - 180, latitude
 
 
 def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
-    """UTC times as days since the origin."""
+    """Give UTC times as days since the origin."""
     try:
         instants = np.atleast_1d(np.asarray(times, dtype="datetime64[ns]"))
     except (TypeError, ValueError):
@@ -326,7 +326,7 @@ def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
 
 
 def _core_path(scenario: GeographicScenario, path: WindPath) -> _core.WindPath:
-    """A path of UTC times in the time of the run."""
+    """Give a path of UTC times in the time of the run."""
     if not isinstance(path, WindPath):
         raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
     if path.instants is None:
@@ -335,7 +335,7 @@ def _core_path(scenario: GeographicScenario, path: WindPath) -> _core.WindPath:
 
 
 def _phase(wind: LocalGridBootstrap, scenario: GeographicScenario) -> int:
-    """Phase of the mean cycle of a wind at the origin of a run."""
+    """Give the phase of the mean cycle of a wind at the origin of a run."""
     record = wind.record
     month = int(scenario.start.astype("datetime64[M]").astype(int)) % 12 + 1
     if month not in record.months:
@@ -371,7 +371,7 @@ def _area(scenario: GeographicScenario, name: str, ring: Any) -> _core.Coast:
 def _maps(
     scenario: GeographicScenario, maps: MapGrid | None, threads: int
 ) -> tuple[_core.Maps | None, MapGrid | None]:
-    """Maps in the coordinates of the run."""
+    """Give maps in the coordinates of the run."""
     if maps is None:
         return None, None
     longitude = np.array(maps.x) - scenario.reference[0]
