@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import driftcore as dc
+from driftcore import _core
 from driftcore.errors import ScenarioError
 from driftcore.forecast import regular_times
 from driftcore.maps import MapGrid
@@ -161,6 +162,38 @@ def test_members_that_leave_the_data_are_outside_and_failed_ones_are_not_counted
         assert fc.counts["left_domain"] == 1
         assert counted(fc, "presence").sum(axis=(1, 2)).tolist() == [2, 1]
         assert counted(fc, "outside").tolist() == [0, 1]
+
+
+def test_before_its_release_a_member_is_outside(embedded_wind: dc.LocalGridBootstrap) -> None:
+    """Through the core: three bodies released at different times, one of them a map time."""
+    scenario, releases = SCENARIO, np.array([0.0, 0.5, 0.6])
+    sea = scenario.sea.core(scenario.period, scenario.epsilon, 1.0)
+    bodies = np.array([[1.0, 1.0, *[0.0] * 8]] * 3)
+    fleet = _core.Fleet(
+        sea, None, None, 1.0, 0, releases, np.ones((3, 2)), None, bodies, 0.0, seed=1
+    )
+    maps = GRID.core(np.union1d(regular_times(1.0, 1 / 240), TIMES), 2)
+    entries = np.full((3, 1), np.nan)
+    position = np.full((3, 2, 2), np.nan)
+    around = _core.Coast.polygons([np.array([(0.9, 0.9), (1.1, 0.9), (1.0, 1.1)])], inside=False)
+    failure = fleet.run(
+        [dc.member_path(scenario, embedded_wind, k).core for k in range(3)],
+        _core.Solver.full(True, 1e-6, 1e-6, None),
+        0,
+        np.array([0.2, 0.6]),
+        3,
+        (np.zeros(3, np.int8), np.full(3, np.nan), np.full((3, 2), np.nan), position, entries),
+        2,
+        [around],
+        maps,
+    )
+    assert failure is None
+    present, arrived, outside, _ = maps.counts()
+    assert outside.tolist() == [2, 2, 1, 0]
+    assert (present.reshape(4, -1).sum(axis=1) + outside).tolist() == [3] * 4
+    assert arrived.reshape(5, 11, 16).sum(axis=0).max() == 3
+    assert np.array_equal(entries[:, 0], releases)
+    assert np.isfinite(position[..., 0]).tolist() == [[True, True], [False, True], [False, True]]
 
 
 def calm_sea() -> Any:

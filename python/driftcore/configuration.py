@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 import tomlkit
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
-from tomlkit.items import Table
+from tomlkit.items import Float, Item, Table, Trivia
 
 from driftcore.errors import ScenarioError
 
@@ -19,6 +21,8 @@ from driftcore.errors import ScenarioError
 NOTHING = "none"
 # Between the sentences of one error: no value holds it, for values are shown by their repr.
 _SEPARATOR = ";\n"
+# Numbers in a list that tomlkit lays out in milliseconds.
+_LONG = 100
 # The validator's words for what TOML calls otherwise.
 _WORDS = (
     ("Input ", "it "),
@@ -115,7 +119,7 @@ def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> 
             table.add(tomlkit.comment(f"{name} =   # {comment}"))
             continue
         try:
-            item = tomlkit.item(NOTHING if value is None else _plain(value))
+            item = _item(NOTHING if value is None else value)
         except ValueError:
             # Arrays given in Python: named, so that reading this back fails instead of differing.
             item = tomlkit.item(repr(value))
@@ -146,6 +150,20 @@ def _add(
             _add(inner, key, part, None)
     table.add(tomlkit.nl())
     table.add(name, inner)
+
+
+def _item(value: Any) -> Item:
+    """Lay out a value; long lists of numbers as JSON does, which is TOML too.
+
+    tomlkit takes a time that grows with the square of their length, and a coast may have a million
+    points. The number is a husk: what is written is the text.
+    """
+    plain = _plain(value)
+    if isinstance(value, tuple) and np.asarray(value, dtype=object).size > _LONG:
+        with contextlib.suppress(TypeError):
+            return Float(0.0, Trivia(), json.dumps(plain, ensure_ascii=False))
+    item: Item = tomlkit.item(plain)
+    return item
 
 
 def _plain(value: Any) -> Any:

@@ -4,12 +4,11 @@
 //! coefficients are continuous where order 2 needs them; and a spline lies within the convex hull
 //! of its coefficients, which gives the bounds of [`SeaField::bounds`] without sampling.
 
-use nalgebra::Matrix2;
 use num_complex::Complex64;
 
-use smallvec::SmallVec;
+use smallvec::{SmallVec, smallvec};
 
-use super::{FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase};
+use super::{CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase, phasors};
 use crate::error::{DriftError, positive};
 
 /// Regular axis of `count` grid points; an axis of one point is constant.
@@ -235,19 +234,79 @@ impl GriddedSea {
         Ok([self.x.stencil(x.x), self.y.stencil(x.y), self.time.stencil(t)])
     }
 
-    /// Nodes under the stencils that carry weight, with their (x, y, time) places in them.
-    fn nodes<'a>(
+    /// Rows of nodes under the stencils that carry weight, with their (y, time) places in them; the
+    /// channels of a row's nodes follow each other.
+    fn rows<'a>(
         &'a self,
         [sx, sy, st]: &'a [Stencil; 3],
-    ) -> impl Iterator<Item = ((usize, usize, usize), &'a [Complex64])> {
+    ) -> impl Iterator<Item = ((usize, usize), std::slice::ChunksExact<'a, Complex64>)> {
         let width = |axis: &Axis| axis.coefficients().min(4);
         let (wx, wy, wt) = (width(&self.x), width(&self.y), width(&self.time));
-        (0..wt).flat_map(move |k| {
-            (0..wy).flat_map(move |j| {
-                (0..wx)
-                    .map(move |i| ((i, j, k), self.node(st.first + k, sy.first + j, sx.first + i)))
-            })
+        (0..wt * wy).map(move |row| {
+            let (j, k) = (row % wy, row / wy);
+            let row = (st.first + k) * self.y.coefficients() + sy.first + j;
+            let first = (row * self.x.coefficients() + sx.first) * self.channels;
+            let nodes = &self.coefficients[first..first + wx * self.channels];
+            ((j, k), nodes.chunks_exact(self.channels))
         })
+    }
+
+    /// The harmonics with their gradients; with `ALL` also with their other derivatives.
+    ///
+    /// First along x, so that each derivative there serves several along y and time.
+    fn sum<const ALL: bool>(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
+        let stencils = self.stencils(t, x)?;
+        let [sx, sy, st] = &stencils;
+        let (tide, residual) = self.lines.split_at(self.tide_harmonics);
+        out.tide = SmallVec::from_slice(tide);
+        out.residual = SmallVec::from_slice(residual);
+        for ((j, k), nodes) in self.rows(&stencils) {
+            let (value, slope) = (sy.value[j] * st.value[k], sy.slope[j] * st.value[k]);
+            let (curvature, rate) = (sy.curvature[j] * st.value[k], sy.value[j] * st.slope[k]);
+            let harmonics = out.tide.iter_mut().chain(out.residual.iter_mut());
+            for (first, harmonic) in (0..).step_by(2).zip(harmonics) {
+                for component in 0..2 {
+                    let mut along = [Complex64::ZERO; 3];
+                    for (i, node) in nodes.clone().enumerate() {
+                        let c = node[first + component];
+                        along[0] += c * sx.value[i];
+                        along[1] += c * sx.slope[i];
+                        if ALL {
+                            along[2] += c * sx.curvature[i];
+                        }
+                    }
+                    let [here, east, bend] = along;
+                    harmonic.amplitude[component] += here * value;
+                    harmonic.gradient[(component, 0)] += east * value;
+                    harmonic.gradient[(component, 1)] += here * slope;
+                    if ALL {
+                        harmonic.rate[component] += here * rate;
+                        let cross = east * slope;
+                        harmonic.hessian[component] +=
+                            CMat2::new(bend * value, cross, cross, here * curvature);
+                    }
+                }
+            }
+        }
+        if let Some(mean) = out.residual.first_mut() {
+            mean.amplitude = mean.amplitude.map(|c| c.re.into());
+        }
+        Ok(())
+    }
+
+    /// `e^{iωt}` of each line.
+    fn phasors(&self, t: f64) -> SmallVec<[Complex64; 8]> {
+        if !self.periodic {
+            return self.lines.iter().map(|line| line.phasor(t)).collect();
+        }
+        // Multiples of one frequency need one sine and cosine.
+        let powers = phasors(self.omega() * t);
+        let (tide, residual) = self.lines.split_at(self.tide_harmonics);
+        let powers: SmallVec<[Complex64; 8]> = std::iter::once(Complex64::ONE)
+            .chain(powers)
+            .take((tide.len() + 1).max(residual.len()))
+            .collect();
+        powers[1..=tide.len()].iter().chain(&powers[..residual.len()]).copied().collect()
     }
 }
 
@@ -268,52 +327,25 @@ impl SeaField for GriddedSea {
     fn velocity(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
         let stencils = self.stencils(t, x)?;
         let [sx, sy, st] = &stencils;
-        let factors: SmallVec<[Complex64; 8]> =
-            self.lines.iter().map(|line| line.phasor(t)).collect();
-        let mut velocity = Vec2::zeros();
-        for ((i, j, k), node) in self.nodes(&stencils) {
-            let weight = sx.value[i] * sy.value[j] * st.value[k];
-            for (pair, factor) in node.chunks_exact(2).zip(&factors) {
-                velocity += in_phase([pair[0], pair[1]].into(), *factor) * weight;
-            }
-        }
-        Ok(velocity)
-    }
-
-    fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
-        let stencils = self.stencils(t, x)?;
-        let [sx, sy, st] = &stencils;
-        let (tide, residual) = self.lines.split_at(self.tide_harmonics);
-        out.tide = SmallVec::from_slice(tide);
-        out.residual = SmallVec::from_slice(residual);
-        for ((i, j, k), node) in self.nodes(&stencils) {
-            let at = st.value[k];
-            let value = sx.value[i] * sy.value[j] * at;
-            let slope = [sx.slope[i] * sy.value[j] * at, sx.value[i] * sy.slope[j] * at];
-            let rate = sx.value[i] * sy.value[j] * st.slope[k];
-            let cross = sx.slope[i] * sy.slope[j] * at;
-            let curvature = Matrix2::new(
-                sx.curvature[i] * sy.value[j] * at,
-                cross,
-                cross,
-                sx.value[i] * sy.curvature[j] * at,
-            );
-            let harmonics = out.tide.iter_mut().chain(out.residual.iter_mut());
-            for (pair, harmonic) in node.chunks_exact(2).zip(harmonics) {
-                for (component, c) in pair.iter().enumerate() {
-                    harmonic.amplitude[component] += c * value;
-                    harmonic.rate[component] += c * rate;
-                    for (a, slope) in slope.iter().enumerate() {
-                        harmonic.gradient[(component, a)] += c * slope;
-                    }
-                    harmonic.hessian[component] += curvature.map(|weight| c * weight);
+        let mut amplitudes: SmallVec<[Complex64; 16]> = smallvec![Complex64::ZERO; self.channels];
+        for ((j, k), nodes) in self.rows(&stencils) {
+            for (node, weight) in nodes.zip(sx.value) {
+                let weight = weight * sy.value[j] * st.value[k];
+                for (amplitude, c) in amplitudes.iter_mut().zip(node) {
+                    *amplitude += c * weight;
                 }
             }
         }
-        if let Some(mean) = out.residual.first_mut() {
-            mean.amplitude = mean.amplitude.map(|c| c.re.into());
-        }
-        Ok(())
+        let pairs = amplitudes.chunks_exact(2).zip(self.phasors(t));
+        Ok(pairs.map(|(pair, phasor)| in_phase([pair[0], pair[1]].into(), phasor)).sum())
+    }
+
+    fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
+        self.sum::<true>(t, x, out)
+    }
+
+    fn gradients(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
+        self.sum::<false>(t, x, out)
     }
 
     fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds {
@@ -333,7 +365,7 @@ impl SeaField for GriddedSea {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{phasors, real};
+    use super::super::real;
     use super::*;
 
     /// Two tide harmonics and a residual with one harmonic, coefficients of no special form.

@@ -76,6 +76,12 @@ pub trait SeaField: Send + Sync {
     /// Slowly varying harmonics of the tidal phase, with gradients and time derivatives.
     fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError>;
 
+    /// The same without time and second derivatives, which may be left 0: what order 1 needs at
+    /// every stage of every step.
+    fn gradients(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
+        self.harmonics(t, x, out)
+    }
+
     /// Bounds that hold in the ball around `center` at every time of the run.
     fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds;
 

@@ -19,6 +19,27 @@ impl SumOfSeas {
         }
         Ok(Self { parts })
     }
+
+    /// The harmonics of all, as `of` asks one of them.
+    fn gather(
+        &self,
+        out: &mut Harmonics,
+        of: impl Fn(&dyn SeaField, &mut Harmonics) -> Result<(), DriftError>,
+    ) -> Result<(), DriftError> {
+        let mut one = Harmonics::default();
+        out.tide.clear();
+        out.residual.clear();
+        for part in &self.parts {
+            of(part.as_ref(), &mut one)?;
+            out.tide.extend(one.tide.drain(..));
+            let have = out.residual.len().max(one.residual.len());
+            out.residual.resize(have, Harmonic::default());
+            for (sum, term) in out.residual.iter_mut().zip(&one.residual) {
+                sum.add(term);
+            }
+        }
+        Ok(())
+    }
 }
 
 impl SeaField for SumOfSeas {
@@ -40,19 +61,11 @@ impl SeaField for SumOfSeas {
     }
 
     fn harmonics(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
-        let mut one = Harmonics::default();
-        out.tide.clear();
-        out.residual.clear();
-        for part in &self.parts {
-            part.harmonics(t, x, &mut one)?;
-            out.tide.extend(one.tide.drain(..));
-            let have = out.residual.len().max(one.residual.len());
-            out.residual.resize(have, Harmonic::default());
-            for (sum, term) in out.residual.iter_mut().zip(&one.residual) {
-                sum.add(term);
-            }
-        }
-        Ok(())
+        self.gather(out, |part, one| part.harmonics(t, x, one))
+    }
+
+    fn gradients(&self, t: f64, x: Vec2, out: &mut Harmonics) -> Result<(), DriftError> {
+        self.gather(out, |part, one| part.gradients(t, x, one))
     }
 
     fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds {

@@ -9,10 +9,10 @@ use std::ops::Range;
 
 use nalgebra::Matrix2;
 
-use super::{Formulation, Model, Piece, Problem, Reach, harmonics, mean_drift};
+use super::{Formulation, Model, Piece, Problem, Reach, mean_drift};
 use crate::dopri5::{A, B, C, D, E, Step, powers};
 use crate::error::DriftError;
-use crate::field::{SeaField, Vec2};
+use crate::field::{Harmonics, SeaField, Vec2};
 use crate::lanes::{Kernel, LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
 use crate::wind::lanes::{LaneWind, WindView};
 
@@ -77,7 +77,11 @@ impl Carrier {
     fn at(self, sea: &dyn SeaField, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
         match self {
             Self::Velocity => sea.velocity(t, x),
-            Self::MeanDrift => Ok(mean_drift(&harmonics(sea, t, x)?, t)),
+            Self::MeanDrift => {
+                let mut at = Harmonics::default();
+                sea.gradients(t, x, &mut at)?;
+                Ok(mean_drift(&at, t))
+            }
         }
     }
 }

@@ -1,0 +1,410 @@
+"""How the cost of a forecast grows, and what it is at a few points: the tables of performance.md.
+
+    python benches/scaling.py [--quick] [--figure docs/figures/scaling.png] [-o tables.md]
+
+CPU time of the process, one thread, least of some repeats. The growth with the members is that of
+a whole call; the others are of following alone, without what is prepared once for all members.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import platform
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+import driftcore as dc
+from driftcore.errors import DriftCoreWarning
+from driftcore.forecast import Fates, Resampled, _compiled, regular_times, solver_of
+from driftcore.markdown import paragraphs, table
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+WIDTH = 16  # members that the core steps side by side
+MODELS = ("mean-flow", "full")
+COLOURS = {"mean-flow": "#0072B2", "full": "#D55E00"}  # Okabe & Ito (2008)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much to measure."""
+
+    repeats: int
+    paper: int  # members in the paper's sea
+    gridded: int  # members in a sea on a grid
+    rounds: int  # of what is timed in turn
+    most: float  # greatest number of members and of coast points
+    compared: int  # members whose strandings are compared
+
+
+DEFAULT = Effort(repeats=3, paper=1024, gridded=256, rounds=7, most=1e6, compared=512)
+QUICK = Effort(repeats=1, paper=128, gridded=32, rounds=3, most=1e4, compared=64)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Cost against one size, by model."""
+
+    title: str
+    label: str
+    sizes: Sequence[float]
+    cost: dict[str, list[float]]  # [s]
+    unit: str = "CPU time per member [ms]"
+    scale: float = 1e3
+
+    def exponent(self, model: str) -> float:
+        """Slope of the line through the logarithms."""
+        return float(np.polyfit(np.log(self.sizes), np.log(self.cost[model]), 1)[0])
+
+
+def cpu(call: Callable[[], Any], repeats: int) -> float:
+    """Least CPU time of some calls."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def follow(scenario: dc.Scenario, members: int, model: Any) -> dc.Forecast:
+    """Forecast on one thread, nothing kept."""
+    wind = dc.paper.default_wind()
+    return dc.forecast(scenario, wind, members=members, model=model, keep=0, threads=1)
+
+
+def per_member(scenario: dc.Scenario, members: int, model: Any, repeats: int) -> float:
+    """CPU time of following a member, without what is prepared once for all of them."""
+    compiled = _compiled(scenario)
+    _, solver = solver_of(scenario, model, None, None, True, "B", 1e-6, None)
+    winds = Resampled(scenario, dc.paper.default_wind(), solver, seed=1)
+    fates = Fates.empty(members, 0, 1, 0).rows(slice(members))
+    return (
+        cpu(
+            lambda: compiled.run(winds.core, solver, 0, np.array([1.0]), 0, fates, 1, []),
+            repeats,
+        )
+        / members
+    )
+
+
+def gridded_sea(harmonics: int = 3, points: int = 64) -> dc.HarmonicSea:
+    """Give a tide that is not linear in the position: waves of the size of the paper's tide.
+
+    Harmonic j has 1/j² of the amplitude and waves j times as short; the residual current has
+    eddies and a first harmonic.
+    """
+    axis = np.linspace(0.4, 1.6, points)
+    y, x = np.meshgrid(axis, axis, indexing="ij")
+
+    def field(numbers: range, wave: Callable[[int], Sequence[NDArray[Any]]]) -> xr.DataArray:
+        coordinates = {"harmonic": list(numbers), "component": ["x", "y"], "y": axis, "x": axis}
+        values = np.array([wave(j) for j in numbers], dtype=complex)
+        return xr.DataArray(values, coordinates, ("harmonic", "component", "y", "x"))
+
+    def tide(j: int) -> Sequence[NDArray[Any]]:
+        # Slack at the release, so that the body starts with the water.
+        phase = j * (2 * (x - 1) + (y - 1)) + np.pi / 2
+        return 2 / j**2 * np.exp(-1j * phase) * np.array([x, 0.5 * y + 0.3 * np.sin(3 * x)])
+
+    def residual(j: int) -> Sequence[NDArray[Any]]:
+        swirl = np.array([np.sin(4 * y) * np.cos(3 * x), -np.cos(4 * y) * np.sin(3 * x)])
+        return swirl / (1 + j)
+
+    return dc.HarmonicSea(field(range(1, harmonics + 1), tide), field(range(2), residual))
+
+
+def wiggled_coast(points: int) -> dc.Polygons:
+    """Give the paper's circle with wiggles a tenth of its radius high, down to its points."""
+    angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
+    bays = [
+        math.sin(k) * np.sin(k * angle) / k for k in (5, 13, 34, 89, 233, 610) if 4 * k < points
+    ]
+    ring = 0.3 * (1 + 0.15 * np.sum(bays, axis=0))[:, None]
+    return dc.Polygons(rings=(1 + ring * np.column_stack([np.cos(angle), np.sin(angle)]),))
+
+
+def sweeps(effort: Effort) -> list[Sweep]:
+    """Measure every growth."""
+
+    def swept(
+        title: str, label: str, sizes: Sequence[int], count: int, case: Callable[[int], dc.Scenario]
+    ) -> Sweep:
+        cost: dict[str, list[float]] = {model: [] for model in MODELS}
+        for size in sizes:
+            scenario = case(size)
+            for model in MODELS:
+                cost[model].append(per_member(scenario, count, model, effort.repeats))
+        return Sweep(title, label, sizes, cost)
+
+    def tens(first: int) -> list[int]:
+        return [10**k for k in range(first, round(math.log10(effort.most)) + 1)]
+
+    members = tens(2)
+    # A second and more need no repeats.
+    calls = [
+        cpu(
+            lambda count=count: follow(dc.paper.scenario(), count, "mean-flow"),
+            effort.repeats if count < 10**5 else 1,
+        )
+        for count in members
+    ]
+    return [
+        Sweep("members", "members", members, {"mean-flow": calls}, "CPU time of the call [s]", 1.0),
+        swept(
+            "length of the run",
+            "tides in the run, 1/ε",
+            [25, 50, 100, 200, 400],
+            effort.paper,
+            lambda tides: dc.paper.scenario(epsilon=1 / tides),
+        ),
+        swept(
+            "coast",
+            "points of the coast",
+            tens(2),
+            effort.paper,
+            lambda points: dc.paper.scenario(coast=wiggled_coast(points)),
+        ),
+        swept(
+            "harmonics of a gridded sea",
+            "harmonics of the tide",
+            [1, 2, 3, 4, 6, 8],
+            effort.gridded,
+            lambda count: dc.Scenario(sea=gridded_sea(count)),
+        ),
+        swept(
+            "grid of a gridded sea",
+            "grid points along each axis",
+            [16, 32, 64, 128, 256, 512],
+            effort.gridded,
+            lambda points: dc.Scenario(sea=gridded_sea(3, points)),
+        ),
+    ]
+
+
+def threads(effort: Effort) -> list[list[str]]:
+    """Two threads beside one, in turn: wall time."""
+    rows = []
+    wind = dc.paper.default_wind()
+    for model in MODELS:
+        members = 8 * effort.paper
+
+        def wall(count: int, model: Any = model, members: int = members) -> float:
+            start = time.perf_counter()
+            dc.forecast(
+                dc.paper.scenario(), wind, members=members, model=model, keep=0, threads=count
+            )
+            return time.perf_counter() - start
+
+        rounds = [[wall(count) for count in (1, 2)] for _ in range(effort.rounds)]
+        one, two = (median(column) for column in zip(*rounds, strict=True))
+        ratio = sorted(one / two for one, two in rounds)
+        rows.append(
+            [
+                model,
+                f"{members / one:,.0f}",
+                f"{members / two:,.0f}",
+                f"{median(ratio):.2f} [{ratio[0]:.2f}–{ratio[-1]:.2f}]",
+            ]
+        )
+    return rows
+
+
+def in_memory(effort: Effort) -> list[list[str]]:
+    """Full model under winds in memory, eight steps a tide: speed, and error against rtol 1e-12."""
+    rows = []
+    wind = dc.paper.default_wind()
+    few = 64
+    for tides in (50, 200):
+        scenario = dc.paper.scenario(epsilon=1 / tides, coast=None)
+        paths = [dc.member_path(scenario, wind, member) for member in range(few)]
+        velocity = np.array([path.velocity for path in paths])
+        members = max(few, effort.paper * 50 // tides)
+        many = dc.WindPaths(paths[0].times, np.tile(velocity, (-(-members // few), 1, 1))[:members])
+        how: dict[str, Any] = {"model": "full", "threads": 1, "steps_per_tide": 8}
+        call = partial(dc.forecast, scenario, keep=0, **how)
+        first = dc.WindPaths(paths[0].times, velocity[:WIDTH])
+        cost = [cpu(partial(call, winds), effort.repeats) for winds in (many, first)]
+        rate = (members - WIDTH) / (cost[0] - cost[1])
+        times = regular_times(1.0, scenario.epsilon)
+        found = dc.forecast(scenario, dc.WindPaths(paths[0].times, velocity), times=times, **how)
+        error = max(
+            np.abs(
+                found.dataset["position"].values[k]
+                - dc.trajectory(
+                    scenario, path, model="full", times=times, rtol=1e-12
+                ).position.values
+            ).max()
+            for k, path in enumerate(paths[: effort.rounds * 2])
+        )
+        rows.append([f"1/{tides}", f"{rate:,.0f}", f"{1e6 / rate:.1f}", f"{error:.1e}"])
+    return rows
+
+
+def averaged_beside_full(effort: Effort) -> list[list[str]]:
+    """Mean-flow beside the full model in a gridded tide, ε = 1/200: cost, and who strands."""
+    rows = []
+    for name, coast in (("circle", dc.Circle()), ("10,000 points", wiggled_coast(10_000))):
+        scenario = dc.Scenario(sea=gridded_sea(), epsilon=1 / 200, coast=coast)
+        cost = [per_member(scenario, effort.gridded, model, effort.repeats) for model in MODELS]
+        fates = [follow(scenario, effort.compared, model).dataset for model in MODELS]
+        status = [fate["status"].values for fate in fates]
+        apart = np.abs(fates[0]["stranding_time"] - fates[1]["stranding_time"]).values
+        rows.append(
+            [
+                name,
+                *(f"{1e3 * value:.2f}" for value in cost),
+                f"{cost[1] / cost[0]:.1f}",
+                f"{(status[1] == 1).mean():.3f}",
+                f"{(status[0] == status[1]).sum()} of {effort.compared}",
+                f"{np.nanmedian(apart):.1e}",
+            ]
+        )
+    return rows
+
+
+def draw(found: list[Sweep], path: Path) -> None:
+    """One panel for each growth, and a line of its exponent through each."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    figure = Figure(figsize=(7.0, 4.9), layout="constrained", dpi=200)
+    axes = figure.subplots(2, 3).ravel()
+    for ax, sweep in zip(axes, found, strict=False):
+        sizes = np.array(sweep.sizes, dtype=float)
+        for model, cost in sweep.cost.items():
+            exponent = sweep.exponent(model)
+            values = sweep.scale * np.array(cost)
+            line = (
+                np.exp(np.log(values).mean()) * (sizes / np.exp(np.log(sizes).mean())) ** exponent
+            )
+            ax.loglog(sizes, line, color=COLOURS[model], linewidth=1, alpha=0.5)
+            ax.loglog(sizes, values, "o", color=COLOURS[model], markersize=4)
+            ax.annotate(
+                f"{exponent:.2f}",
+                (sizes[-1], values[-1]),
+                xytext=(0, 7 if model == MODELS[-1] or len(sweep.cost) == 1 else -13),
+                textcoords="offset points",
+                ha="right",
+                color=COLOURS[model],
+                fontsize=8,
+            )
+        ax.set_title(sweep.title, fontsize=9.5)
+        ax.set_xlabel(sweep.label, fontsize=8)
+        ax.set_ylabel(sweep.unit, fontsize=8)
+        ax.tick_params(labelsize=7)
+        if max(map(max, sweep.cost.values())) < 100 * min(map(min, sweep.cost.values())):
+            ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        ax.grid(True, which="major", color="#DDDDDD", linewidth=0.6)
+        if sizes[-1] / sizes[0] < 100:
+            ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
+            ax.minorticks_off()
+        low, high = ax.get_ylim()
+        # At least a decade, so that noise on a level line does not fill the panel.
+        middle, half = math.sqrt(low * high), max(math.sqrt(high / low) * 1.3, math.sqrt(10))
+        ax.set_ylim(middle / half, middle * half)
+    legend = axes[-1]
+    legend.axis("off")
+    for model in MODELS:
+        legend.plot([], [], "o-", color=COLOURS[model], markersize=4, label=model)
+    legend.legend(
+        title="Numbers: exponents fitted\nto the points of a panel",
+        title_fontsize=8,
+        fontsize=9,
+        loc="center",
+        frameon=False,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def machine() -> str:
+    """Name the processor and what else is needed to read the numbers."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    name = names[0] if names else platform.processor()
+    return (
+        f"{name}, {len(names) or 1} cores, Python {platform.python_version()}, NumPy "
+        f"{np.__version__}, driftcore {dc.__version__}"
+    )
+
+
+def report(effort: Effort, found: list[Sweep]) -> str:
+    """Write the tables."""
+    growth = []
+    for sweep in found:
+        for model, cost in sweep.cost.items():
+            growth.append(
+                [
+                    sweep.title,
+                    model,
+                    f"{sweep.sizes[0]:,} to {sweep.sizes[-1]:,}",
+                    f"{cost[0] * sweep.scale:.3g} to {cost[-1] * sweep.scale:.3g}",
+                    sweep.unit.split(" [")[1].rstrip("]"),
+                    f"{sweep.exponent(model):.2f}",
+                ]
+            )
+    return "\n\n".join(
+        [
+            paragraphs(f"{machine()}; CPU time, one thread, least of {effort.repeats} calls."),
+            table(["growth with", "model", "sizes", "cost", "unit", "exponent"], growth),
+            table(
+                ["model", "members/s, 1 thread", "members/s, 2 threads", "gain [least–greatest]"],
+                threads(effort),
+            ),
+            table(
+                ["ε", "trajectories/s", "µs/trajectory", "largest error of position"],
+                in_memory(effort),
+            ),
+            table(
+                [
+                    "coast",
+                    "mean-flow [ms/member]",
+                    "full [ms/member]",
+                    "ratio",
+                    "strands (full)",
+                    "same fate",
+                    "stranding times apart, median",
+                ],
+                averaged_beside_full(effort),
+            ),
+        ]
+    )
+
+
+def main() -> None:
+    """Measure, draw and write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("--quick", action="store_true", help="Smaller sizes, one repeat.")
+    parser.add_argument("--figure", type=Path, default=Path("docs/figures/scaling.png"))
+    parser.add_argument("-o", "--output", type=Path, help="File for the tables; else printed.")
+    arguments = parser.parse_args()
+    effort = QUICK if arguments.quick else DEFAULT
+    # Long runs outlast the months of the embedded climate: the cost is the same.
+    warnings.simplefilter("ignore", DriftCoreWarning)
+    dc.paper.default_wind()  # fitted before the clock starts
+    found = sweeps(effort)
+    draw(found, arguments.figure)
+    text = report(effort, found)
+    if arguments.output is None:
+        print(text)
+    else:
+        arguments.output.write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
