@@ -398,7 +398,7 @@ class GeographicScenario:
         """Say where the ordering that averaging needs does not hold."""
         scaling = self.scaling
         problems = []
-        if scaling.epsilon > _LARGEST_EPSILON:
+        if scaling.tide and scaling.epsilon > _LARGEST_EPSILON:
             problems.append(f"epsilon = {scaling.epsilon:.2g} (a tide over the run)")
         if scaling.steepness > _LARGEST_STEEPNESS:
             problems.append(

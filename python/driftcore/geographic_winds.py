@@ -117,7 +117,8 @@ class _Patterns:
                 f"wind: its grid covers longitudes {longitude[0]:g} to {longitude[-1]:g}, "
                 f"latitudes {latitude[0]:g} to {latitude[-1]:g}, and not the release"
             )
-        if x[0] > west or x[-1] < east or y[0] > south or y[-1] < north:
+        has_sea = scenario.tides is not None or scenario.current is not None
+        if has_sea and (x[0] > west or x[-1] < east or y[0] > south or y[-1] < north):
             warnings.warn(
                 "the wind's grid does not cover that of the sea: who leaves it has left the domain",
                 DriftCoreWarning,
@@ -148,7 +149,7 @@ class _Grid:
     def __init__(self, scenario: GeographicScenario, grid: VectorGrid) -> None:
         if grid.kind != "wind":
             raise ScenarioError(f"wind: a {grid.kind} is not accepted; read it as a wind")
-        if grid.missing.any():
+        if not (np.isfinite(grid.u).all() and np.isfinite(grid.v).all()):
             raise ScenarioError("wind: it has missing values; give a region and period without")
         times = scenario.since_origin(grid.times)
         start, end = float(scenario.since_origin(scenario.start)), scenario.duration
