@@ -1,6 +1,7 @@
 """Currents made ready: land filled from the sea, regular times, the tide removed."""
 
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,12 @@ def test_a_step_without_values() -> None:
 def test_a_wind_is_no_current() -> None:
     with pytest.raises(RecordError, match=r"kind: 'wind' is not accepted"):
         Current.from_grid(grid(uniform(np.ones(2)), kind="wind"))
+
+
+def test_without_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    with pytest.raises(RecordError, match=r'scipy is needed .* pip install "driftcore\[geo\]"'):
+        Current.from_grid(grid(uniform(np.ones(2))))
 
 
 # Times

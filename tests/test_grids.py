@@ -1,5 +1,6 @@
 """Grids of currents and winds: what is found in files of the common makes, and what is refused."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -444,7 +445,7 @@ def test_files_refused(tmp_path: Path) -> None:
 
 def test_netcdf_3_without_scipy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path, era5().drop_vars("number"), engine="scipy")
-    monkeypatch.setitem(__import__("sys").modules, "scipy.io", None)
+    monkeypatch.setitem(sys.modules, "scipy.io", None)
     with pytest.raises(RecordError, match=r'needs scipy: pip install "driftcore\[geo\]"'):
         read_vector_grid(path, "wind")
 
@@ -487,3 +488,46 @@ def test_real_files_refused() -> None:
         read_vector_grid(real("AROME_MetCoOp_00_DEF_20160114_subset.nc"), "wind")
     with pytest.raises(RecordError, match=r"staggered \(C\) grid and terrain-following levels"):
         read_vector_grid(real("Nordic_subset_day1.nc"), "current")
+
+
+# The lines of the guide, run on the files that are refused
+
+
+def lines(name: str) -> str:
+    text = (Path(__file__).parents[1] / "docs/guide/data.md").read_text()
+    return text.split(f"<!-- {name} -->\n```python\n")[1].split("```\n<!-- end -->")[0]
+
+
+def test_curvilinear_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The axes of a Lambert map turn by sin(63°) for each degree off its central meridian."""
+    path = real("AROME_MetCoOp_00_DEF_20160114_subset.nc")
+    (tmp_path / "arome.nc").symlink_to(path)
+    monkeypatch.chdir(tmp_path)
+    room: dict[str, Any] = {}
+    exec(lines("curvilinear") + lines("arome"), room)  # noqa: S102 - the guide's own lines
+    lon = room["lon"]
+    along = room["turned"](np.ones_like(lon), np.zeros_like(lon), lon, room["lat"])
+    expected = np.deg2rad(15 - lon) * np.sin(np.deg2rad(63))
+    np.testing.assert_allclose(np.angle(along), expected, atol=2e-3)
+    grid = read_wind_grid("wind.nc")
+    speed = np.hypot(grid.u, grid.v)
+    with xr.open_dataset(path) as file:
+        known = np.hypot(file["x_wind_10m"].values, file["y_wind_10m"].values)
+        j, i = np.unravel_index(np.hypot(lon - 6.0, room["lat"] - 62.0).argmin(), lon.shape)
+    near = speed[:, 20, 20]  # 6 E, 62 N
+    np.testing.assert_allclose(near, known[:, j, i], rtol=0.1)
+
+
+def test_roms_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "roms.nc").symlink_to(real("Nordic_subset_day1.nc"))
+    monkeypatch.chdir(tmp_path)
+    room: dict[str, Any] = {}
+    exec(lines("curvilinear") + lines("roms"), room)  # noqa: S102 - the guide's own lines
+    # The angle that the file states is that of its coordinates.
+    ones = np.ones_like(room["lon"])
+    along = room["turned"](ones, 0 * ones, room["lon"], room["lat"])
+    with xr.open_dataset("roms.nc") as file:
+        np.testing.assert_allclose(np.angle(along), file["angle"].values, atol=0.01)
+    grid = read_vector_grid("current.nc", "current")
+    assert 0.3 < np.isfinite(grid.u).mean() < 1
+    assert 0.05 < np.nanmax(np.hypot(grid.u, grid.v)) < 0.7

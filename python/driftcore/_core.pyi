@@ -158,6 +158,20 @@ class Scenario:
     ) -> str | None: ...
 
 @final
+class FieldWinds:
+    def __new__(
+        cls,
+        axes: list[tuple[float, float, int]],
+        patterns: _Floats,
+        times: tuple[float, float],
+        first: int,
+        amplitudes: _Floats,
+        small_scale: tuple[float, float, int, int] | None = None,
+    ) -> FieldWinds: ...
+
+_Winds = tuple[WindGenerator, int] | list[WindPath] | WindPaths | FieldWinds
+
+@final
 class Fleet:
     def __new__(
         cls,
@@ -173,10 +187,10 @@ class Fleet:
         jibing_rate: float,
         seed: int,
     ) -> Fleet: ...
-    def trajectory(self, wind: WindPath, solver: Solver, times: _Floats) -> list[_Floats]: ...
+    def trajectory(self, winds: _Winds, solver: Solver, times: _Floats) -> list[_Floats]: ...
     def run(
         self,
-        winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
+        winds: _Winds,
         solver: Solver,
         first: int,
         times: _Floats,

@@ -76,10 +76,12 @@ class Current(VectorGrid):
         Raises
         ------
         RecordError
-            If it is no current, or its times are too irregular to interpolate them.
+            If it is no current, its times are too irregular to interpolate them, or scipy is
+            missing.
         """
         if grid.kind != "current":
             raise RecordError(f"kind: {grid.kind!r} is not accepted; a current is needed")
+        _require_scipy()
         land = grid.missing
         u, v = (
             filled(grid.u, grid.longitude, grid.latitude),
@@ -165,14 +167,14 @@ class Current(VectorGrid):
 
         dy = np.deg2rad(self.latitude[1] - self.latitude[0]) * _EARTH_RADIUS
         dx = np.deg2rad(self.longitude[1] - self.longitude[0]) * _EARTH_RADIUS
-        along_y, along_x = np.gradient(velocity, dy, dx, axis=(2, 3))
+        along_y, along_x = map(np.asarray, np.gradient(velocity, dy, dx, axis=(2, 3)))
         along_x /= np.maximum(np.cos(np.deg2rad(self.latitude)), 1e-3)[:, None]
         gradient2 = square(np.asarray(along_x)) + square(np.asarray(along_y))
         mean = velocity.mean(axis=1, keepdims=True)
         rate2 = 0.0
         if len(self.times) > 1:
             step_h = self._span_h / (len(self.times) - 1)
-            rate2 = square(np.asarray(np.diff(velocity, axis=1) / step_h))
+            rate2 = square(np.diff(velocity, axis=1) / step_h)
         return Scales(
             math.sqrt(square(velocity)),
             math.sqrt(square(mean)),
@@ -214,6 +216,15 @@ def from_netcdf(
     )
 
 
+def _require_scipy() -> None:
+    try:
+        import scipy  # noqa: F401
+    except ImportError:
+        raise RecordError(
+            'scipy is needed to make a current ready: pip install "driftcore[geo]"'
+        ) from None
+
+
 def _root_of_ratio(above: float, below: float) -> float:
     return math.sqrt(above / below) if below else math.inf
 
@@ -242,12 +253,9 @@ def filled(values: Float, longitude: Float, latitude: Float) -> Float:
             f"values: step {int(empty[0])} has none, one of {empty.size}; leave it out, by period= "
             "or a list of other files"
         )
-    try:
-        from scipy.sparse.linalg import splu
-    except ImportError:
-        raise RecordError(
-            'scipy is needed to fill land cells: pip install "driftcore[geo]"'
-        ) from None
+    _require_scipy()
+    from scipy.sparse.linalg import splu
+
     flat = values.reshape(len(values), -1).copy()
     laplacian = _laplacian(longitude, latitude)
     # Land is the same at all times of most models: one factorisation serves them all.

@@ -54,7 +54,7 @@ _LEAD_IN_TIDES = 3
 # Members between two reports of progress, at least: what is shared is prepared anew for each.
 _LEAST_CHUNK = 1024
 # Small-scale steps in a tide, paper section 4.1.
-_FINE_STEPS = 100
+FINE_STEPS = 100
 
 
 def trajectory(
@@ -804,7 +804,7 @@ class Resampled:
     ) -> None:
         self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
-        substeps = max(1, math.ceil(step / (scenario.period / _FINE_STEPS) - 1e-9))
+        substeps = max(1, math.ceil(step / (scenario.period / FINE_STEPS) - 1e-9))
         lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
         start, self.end = solver.wind_needed(scenario.duration, scenario.period)
         if start < -_LEAD_IN_TIDES * scenario.period * (1 + 1e-9):

@@ -129,9 +129,9 @@ class GeographicScenario:
             self.coast.around(self.reference[0]).check_afloat(places + np.array(self.reference))
         if self.current is not None and len(self.current.times) > 1:
             first, last = self.current.times[[0, -1]]
-            if first > self.origin or last < self.end:
+            if first > self.start or last < self.end:
                 raise ScenarioError(
-                    f"current: it covers {first} to {last}; the run needs {self.origin} to "
+                    f"current: it covers {first} to {last}; the run needs {self.start} to "
                     f"{self.end}; give current.mean() to use its mean"
                 )
 
@@ -211,15 +211,15 @@ class GeographicScenario:
     def domain(self) -> tuple[float, float, float, float]:
         """West, east, south and north end of the data, relative to the reference [degrees]."""
         boxes = [
-            (*self._offsets(grid.longitude)[[0, -1]], *(grid.latitude - self.reference[1])[[0, -1]])
+            (*self.offsets(grid.longitude)[[0, -1]], *(grid.latitude - self.reference[1])[[0, -1]])
             for grid in (self.tides, self.current)
             if grid is not None
         ]
         west, east, south, north = zip(*boxes, (-180, 180, -90, 90), strict=True)
         return max(west), min(east), max(south), min(north)
 
-    def _offsets(self, longitude: Floats) -> Floats:
-        """Longitudes relative to the reference, in the turn that brings their middle nearest."""
+    def offsets(self, longitude: Floats) -> Floats:
+        """Give longitudes relative to the reference, in the turn whose middle is nearest."""
         offset = longitude - self.reference[0]
         offset -= 360 * np.round((offset[0] + offset[-1]) / 720)
         return np.asarray(offset)
@@ -228,19 +228,23 @@ class GeographicScenario:
         """Build the compiled sea: rates of the coordinates in degrees a day."""
         from driftcore import _core
         from driftcore.currents import filled
-        from driftcore.sea import _axis, _spline_coefficients
+        from driftcore.sea import spline_axis, spline_coefficients
 
         def splines(fields: NDArray[Any], latitude: Floats) -> Any:
             """Spline coefficients (time, y, x, channel) of (time, y, x, channel) in m/s."""
             metric = np.stack([_DEGREES / np.cos(np.radians(latitude)), 0 * latitude + _DEGREES])
             scaled = fields * np.tile(metric, (fields.shape[-1] // 2, 1)).T[:, None, :]
             for dimension in range(3):
-                scaled = _spline_coefficients(scaled, dimension)
+                scaled = spline_coefficients(scaled, dimension)
             return np.ascontiguousarray(scaled, dtype=complex)
 
         def axes(longitude: Floats, latitude: Floats, times: Floats) -> list[Any]:
-            x, y = self._offsets(longitude), latitude - self.reference[1]
-            return [_axis("longitude", x), _axis("latitude", y), _axis("time", times)]
+            x, y = self.offsets(longitude), latitude - self.reference[1]
+            return [
+                spline_axis("longitude", x),
+                spline_axis("latitude", y),
+                spline_axis("time", times),
+            ]
 
         seas = []
         if self.tides is not None:

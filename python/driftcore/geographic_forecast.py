@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,27 +13,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
 from driftcore.dataset import STATUSES, provenance, with_maps, with_targets
-from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
+from driftcore.errors import DriftCoreError, ScenarioError
 from driftcore.forecast import (
     Fates,
     Forecast,
-    Resampled,
     checked_count,
     default_threads,
     solver_of,
     warn_of_failures,
 )
 from driftcore.geographic import GeographicScenario
+from driftcore.geographic_winds import core_path, winds_of
+from driftcore.grids import VectorGrid
 from driftcore.maps import MapGrid
-from driftcore.record import day_of_year, mean_cycle
 from driftcore.scenario import ModelName
 from driftcore.statistics import Probability, probability, wilson
-from driftcore.wind import LocalGridBootstrap, WindPath
+from driftcore.wind import WindPath
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from driftcore.coast import LandCoast
+    from driftcore.geographic_winds import GeographicWind
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.datetime64]
@@ -45,7 +45,7 @@ _CHUNK = 1024
 
 def geographic_trajectory(
     scenario: GeographicScenario,
-    path: WindPath,
+    path: WindPath | VectorGrid,
     *,
     model: ModelName,
     times: ArrayLike,
@@ -59,9 +59,14 @@ def geographic_trajectory(
 
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     instants = _instants(scenario, times)
+    wind: Any = (
+        winds_of(scenario, path, solver, seed).core(0, 1)
+        if isinstance(path, VectorGrid)
+        else [core_path(scenario, path)]
+    )
     fleet, _, _ = scenario.core_fleet(scenario.core_sea(), None, 0, 1, seed)
     try:
-        arrays, work = fleet.trajectory(_core_path(scenario, path), solver, instants)
+        arrays, work = fleet.trajectory(wind, solver, instants)
     except ValueError as error:
         raise ScenarioError(str(error)) from None
     except RuntimeError as error:
@@ -95,7 +100,7 @@ def geographic_trajectory(
 
 def geographic_forecast(
     scenario: GeographicScenario,
-    wind: LocalGridBootstrap | Sequence[WindPath],
+    wind: GeographicWind,
     *,
     members: int | None = None,
     model: ModelName = "mean-flow",
@@ -121,24 +126,13 @@ def geographic_forecast(
     if model == "mean-flow":
         scenario.warn()
     seed = checked_count("seed", seed, least=0)
-    if isinstance(wind, LocalGridBootstrap):
+    winds = winds_of(scenario, wind, solver, seed)
+    if winds.members is None:
         members = 1000 if members is None else checked_count("members", members)
-        phase = _phase(wind, scenario)
-        resampled = Resampled(scenario, wind, solver, seed, phase)
-        resampled.warn()
-        winds: Any = resampled.core
-        attributes = resampled.attributes()
-    elif isinstance(wind, Sequence) and all(isinstance(path, WindPath) for path in wind):
-        if members not in (None, len(wind)):
-            raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
-        members = len(wind)
-        winds = [_core_path(scenario, path) for path in wind]
-        attributes = {"wind_label": f"{members} wind paths given in Python"}
+    elif members not in (None, winds.members):
+        raise ScenarioError(f"members: {members} is not accepted; {winds.members} paths were given")
     else:
-        raise ScenarioError(
-            f"wind: {type(wind).__name__} is not accepted; a fitted LocalGridBootstrap, or a list "
-            "of WindPath with datetime64 times"
-        )
+        members = winds.members
     keep = min(checked_count("keep", keep, least=0), members)
     threads = checked_count("threads", default_threads() if threads is None else threads)
     chunk = checked_count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
@@ -164,7 +158,15 @@ def geographic_forecast(
         )
         try:
             failed = fleet.run(
-                winds, solver, first, instants, keep, fates.rows(rows), threads, areas, counted
+                winds.core(first, number),
+                solver,
+                first,
+                instants,
+                keep,
+                fates.rows(rows),
+                threads,
+                areas,
+                counted,
             )
         except ValueError as error:
             raise ScenarioError(str(error)) from None
@@ -180,7 +182,7 @@ def geographic_forecast(
         "rtol": rtol,
         "seed": np.uint64(seed),
         "members": members,
-        **attributes,
+        **winds.attributes(),
         **scenario.describe(),
         "configuration": "# made in Python",
         **provenance(f"forecast of {members} members"),
@@ -323,37 +325,6 @@ def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
             f"{scenario.start} to {scenario.end}"
         )
     return np.asarray(np.minimum(scenario.since_origin(instants), scenario.duration))
-
-
-def _core_path(scenario: GeographicScenario, path: WindPath) -> _core.WindPath:
-    """Give a path of UTC times in the time of the run."""
-    if not isinstance(path, WindPath):
-        raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
-    if path.instants is None:
-        raise ScenarioError("path: its times are numbers; a geographic scenario needs datetime64")
-    return _core.WindPath(scenario.since_origin(path.instants), path.velocity)
-
-
-def _phase(wind: LocalGridBootstrap, scenario: GeographicScenario) -> int:
-    """Give the phase of the mean cycle of a wind at the origin of a run."""
-    record = wind.record
-    month = int(scenario.start.astype("datetime64[M]").astype(int)) % 12 + 1
-    if month not in record.months:
-        warnings.warn(
-            f"the run starts in month {month}, the wind was resampled from months "
-            f"{', '.join(map(str, record.months))}",
-            DriftCoreWarning,
-            stacklevel=4,
-        )
-    phase, _ = mean_cycle(record)
-    midnight = record.times == record.times.astype("datetime64[D]")
-    if not midnight.any():
-        # Of a record whose first hour of the day is not 0: the nearest one.
-        of_day = record.times - record.times.astype("datetime64[D]")
-        midnight = of_day == of_day.min()
-    rows = np.flatnonzero(midnight)
-    days = np.abs(day_of_year(record.times[rows]) - day_of_year(np.array([scenario.origin])))
-    return int(phase[rows[np.argmin(np.minimum(days, 365 - days))]])
 
 
 def _area(scenario: GeographicScenario, name: str, ring: Any) -> _core.Coast:

@@ -25,6 +25,7 @@ use crate::model::body::{Body, Line, Release};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
 use crate::statistics::{Cells, MapGrid, Maps as CoreMaps};
 use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
+use crate::wind::fields::{FieldWinds as CoreFieldWinds, WindPatterns};
 use crate::wind::lanes::WindPaths as CorePaths;
 use crate::wind::path::WindPath as CorePath;
 use crate::wind::small_scale::SmallScale;
@@ -573,6 +574,46 @@ impl Scenario {
     }
 }
 
+/// Winds that vary in space, of some members.
+#[pyclass(frozen)]
+struct FieldWinds(CoreFieldWinds);
+
+#[pymethods]
+impl FieldWinds {
+    /// Patterns by their spline coefficients [y, x, pattern, component] on axes (start, step,
+    /// count) of x and y; their amplitudes [member, step, pattern], from the member `first` on, at
+    /// `times` = (start, step); and a small scale (standard deviation, memory, substeps, seed).
+    #[new]
+    #[pyo3(signature = (axes, patterns, times, first, amplitudes, small_scale=None))]
+    fn new(
+        axes: [(f64, f64, usize); 2],
+        patterns: PyReadonlyArray4<f64>,
+        times: (f64, f64),
+        first: u64,
+        amplitudes: PyReadonlyArray3<f64>,
+        small_scale: Option<(f64, f64, usize, u64)>,
+    ) -> PyResult<Self> {
+        if patterns.shape()[3] != 2 || amplitudes.shape()[2] != patterns.shape()[2] {
+            let found = format!("{:?} and {:?}", patterns.shape(), amplitudes.shape());
+            return Err(DriftError::invalid("wind patterns", found, "two components each").into());
+        }
+        let values = patterns.as_array();
+        let values = values.rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect();
+        let axes = axes.map(|(start, step, count)| Axis { start, step, count });
+        let (start, step) = times;
+        let small_scale = small_scale
+            .map(|(sd, memory, substeps, seed)| {
+                SmallScale::new(sd, memory, step, substeps).map(|small| (small, seed))
+            })
+            .transpose()?;
+        let patterns = Arc::new(WindPatterns::new(axes, patterns.shape()[2], values)?);
+        let steps = amplitudes.shape()[1];
+        let amplitudes = amplitudes.as_array().iter().copied().collect();
+        let times = (start, step, steps);
+        Ok(Self(CoreFieldWinds::new(patterns, times, first, amplitudes, small_scale)?))
+    }
+}
+
 /// Bodies of any kind, each with its release.
 #[pyclass(frozen)]
 struct Fleet(CoreFleet);
@@ -647,12 +688,14 @@ impl Fleet {
     fn trajectory<'py>(
         &self,
         py: Python<'py>,
-        wind: &WindPath,
+        winds: GivenWinds,
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
         let times = times.as_array().to_vec();
-        let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
+        let paths = winds.paths();
+        let winds = winds.core(&paths);
+        let out = py.detach(|| self.0.trajectory(&winds, &solver.0, &times))?;
         trajectory_arrays(py, out)
     }
 
@@ -750,6 +793,7 @@ enum GivenWinds {
     Drawn(Py<WindGenerator>, u64),
     Paths(Vec<Py<WindPath>>),
     InMemory(Py<WindPaths>),
+    Fields(Py<FieldWinds>),
 }
 
 impl GivenWinds {
@@ -768,6 +812,7 @@ impl GivenWinds {
             }
             Self::Paths(_) => Winds::Given(paths),
             Self::InMemory(paths) => Winds::InMemory(&paths.get().0),
+            Self::Fields(winds) => Winds::Fields(&winds.get().0),
         }
     }
 }
@@ -790,7 +835,8 @@ type Fates<'py> = (
 mod _core {
     #[pymodule_export]
     use super::{
-        Bootstrap, Coast, Fleet, Maps, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths,
+        Bootstrap, Coast, FieldWinds, Fleet, Maps, Scenario, Sea, Solver, WindGenerator, WindPath,
+        WindPaths,
     };
 
     #[pymodule_export]

@@ -5,6 +5,7 @@
 //! streams, each read in the order of time.
 
 pub mod bootstrap;
+pub mod fields;
 pub mod lanes;
 pub mod path;
 pub mod small_scale;
@@ -76,6 +77,20 @@ impl Wind for WindPath {
 
     fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
         path::require_cover((self.start(), self.end()), (start, end))
+    }
+}
+
+impl<W: Wind> Wind for &W {
+    fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+        (**self).at(t, x)
+    }
+
+    fn knots(&self) -> &[f64] {
+        (**self).knots()
+    }
+
+    fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
+        (**self).require(start, end)
     }
 }
 
