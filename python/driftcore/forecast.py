@@ -186,7 +186,7 @@ def forecast(
         Number of members; default 1000, or as many as there are paths.
     model, order, window, wind_terms, rtol, atol
         As in `trajectory`; the default is the mean-flow expansion of order 1. It and `"full"` step
-        on a time grid common to all members, a tide and a tenth of one at most; a member whose
+        on a time grid common to all members, two tides and a tenth of one at most; a member whose
         error is estimated above the tolerance is followed by adaptive steps of its own.
     steps_per_tide : float, optional
         Of one length, whatever the estimated error, for these two models: to compare.
