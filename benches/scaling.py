@@ -252,6 +252,15 @@ def in_memory(effort: Effort) -> list[list[str]]:
     return rows
 
 
+def in_memory_cost(scenario: dc.Scenario, effort: Effort) -> list[float]:
+    """CPU time of the models under the same winds, drawn beforehand."""
+    wind = dc.paper.default_wind()
+    paths = [dc.member_path(scenario, wind, member) for member in range(16 * WIDTH)]
+    winds = dc.WindPaths(paths[0].times, np.array([path.velocity for path in paths]))
+    follow = partial(dc.forecast, scenario, winds, keep=0, threads=1)
+    return [cpu(partial(follow, model=model), effort.repeats) for model in MODELS]
+
+
 def averaged_beside_full(effort: Effort) -> list[list[str]]:
     """Mean-flow beside the full model in a gridded tide, ε = 1/200: cost, and who strands."""
     rows = []
@@ -261,11 +270,13 @@ def averaged_beside_full(effort: Effort) -> list[list[str]]:
         fates = [follow(scenario, effort.compared, model).dataset for model in MODELS]
         status = [fate["status"].values for fate in fates]
         apart = np.abs(fates[0]["stranding_time"] - fates[1]["stranding_time"]).values
+        known = in_memory_cost(scenario, effort)
         rows.append(
             [
                 name,
                 *(f"{1e3 * value:.2f}" for value in cost),
                 f"{cost[1] / cost[0]:.1f}",
+                f"{known[1] / known[0]:.1f}",
                 f"{(status[1] == 1).mean():.3f}",
                 f"{(status[0] == status[1]).sum()} of {effort.compared}",
                 f"{np.nanmedian(apart):.1e}",
@@ -376,6 +387,7 @@ def report(effort: Effort, found: list[Sweep]) -> str:
                     "mean-flow [ms/member]",
                     "full [ms/member]",
                     "ratio",
+                    "ratio, winds in memory",
                     "strands (full)",
                     "same fate",
                     "stranding times apart, median",

@@ -26,7 +26,6 @@ from driftcore.dataset import (
     write_netcdf,
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
-from driftcore.geographic import GeographicScenario
 from driftcore.maps import MapGrid
 from driftcore.record import WindRecord
 from driftcore.scenario import (
@@ -44,6 +43,8 @@ from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from driftcore.geographic import GeographicScenario
 
 Progress = Callable[[int, int], None]
 Floats = NDArray[np.float64]
@@ -112,7 +113,7 @@ def trajectory(
     DriftCoreError
         The integration failed.
     """
-    if isinstance(scenario, GeographicScenario):
+    if not isinstance(scenario, Scenario):
         from driftcore.geographic_forecast import geographic_trajectory
 
         _refuse_paper_options({"window": window, "euler_step": euler_step}, wind_terms)
@@ -218,11 +219,9 @@ def forecast(
     ScenarioError
         An argument is not accepted: its name, value and what is accepted are in the message.
     """
-    if isinstance(scenario, GeographicScenario):
+    if not isinstance(scenario, Scenario):
         from driftcore.geographic_forecast import geographic_forecast
 
-        if wind is None:
-            raise ScenarioError("wind: is missing; the real sea needs a wind of its own")
         paper_only = {"window": window, "steps_per_tide": steps_per_tide}
         _refuse_paper_options(paper_only, wind_terms)
         return geographic_forecast(

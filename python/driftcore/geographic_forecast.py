@@ -57,6 +57,7 @@ def geographic_trajectory(
     """Follow the first member under a given wind, whatever coast there is: see `trajectory`."""
     import xarray as xr
 
+    _require_geographic(scenario)
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     instants = _instants(scenario, times)
     wind: Any = (
@@ -122,6 +123,7 @@ def geographic_forecast(
     `times` days after the earliest release, and `interval` is in days. A target is a polygon of
     [longitude, latitude] points.
     """
+    _require_geographic(scenario)
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     if model == "mean-flow":
         scenario.warn()
@@ -301,6 +303,13 @@ class GeographicForecast(Forecast):
 
 _LONGITUDE = {"standard_name": "longitude", "units": "degrees_east", "axis": "X"}
 _LATITUDE = {"standard_name": "latitude", "units": "degrees_north", "axis": "Y"}
+
+
+def _require_geographic(scenario: object) -> None:
+    if not isinstance(scenario, GeographicScenario):
+        raise ScenarioError(
+            f"scenario: {type(scenario).__name__} is not accepted; a Scenario or GeographicScenario"
+        )
 
 
 def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, Floats]:
