@@ -299,14 +299,8 @@ class GeographicForecast(Forecast):
 
 _LONGITUDE = {"standard_name": "longitude", "units": "degrees_east", "axis": "X"}
 _LATITUDE = {"standard_name": "latitude", "units": "degrees_north", "axis": "Y"}
-# What maps of longitude and latitude refer to, for programs that lay them over others.
+# Name of the variable that says what they refer to, for programs that lay maps over others.
 _CRS = "crs"
-_WGS84 = {
-    "grid_mapping_name": "latitude_longitude",
-    "longitude_of_prime_meridian": 0.0,
-    "semi_major_axis": 6_378_137.0,
-    "inverse_flattening": 298.257223563,
-}
 
 
 def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, Floats]:
@@ -405,6 +399,8 @@ def _geographic_maps(
     scenario: GeographicScenario, dataset: xr.Dataset, maps: MapGrid
 ) -> xr.Dataset:
     """Name the axes of maps by what they are."""
+    import pyproj
+
     x, y = np.array(maps.x), np.array(maps.y)
     times = scenario.instants(scenario.since_origin(scenario.start) + np.array(maps.times))
     names = {
@@ -426,7 +422,8 @@ def _geographic_maps(
     before = np.append(scenario.start, times[:-1])
     coordinates["map_time"] = ("map_time", times, about)
     coordinates["map_time_bounds"] = (("map_time", "bound"), np.stack([before, times], axis=1))
-    return dataset.assign({_CRS: ((), np.int32(0), _WGS84)}).assign_coords(coordinates)
+    system = pyproj.CRS(4326).to_cf()
+    return dataset.assign({_CRS: ((), np.int32(0), system)}).assign_coords(coordinates)
 
 
 def _dataset(
