@@ -18,6 +18,7 @@ from driftcore import _core
 from driftcore.dataset import (
     STATUSES,
     forecast_dataset,
+    is_geographic,
     provenance,
     read_netcdf,
     trajectory_dataset,
@@ -576,12 +577,22 @@ def fitted_wind(wind: WindConfiguration, folder: Path | None = None) -> LocalGri
 def open_forecast(path: str | os.PathLike[str]) -> Forecast:
     """Read a forecast written by `Forecast.to_netcdf`.
 
+    Returns
+    -------
+    Forecast
+        A `GeographicForecast` where it is one.
+
     Raises
     ------
     OutputError
         The file is missing or is not a driftcore forecast.
     """
-    return Forecast(read_netcdf(Path(path)))
+    dataset = read_netcdf(Path(path))
+    if is_geographic(dataset):
+        from driftcore.geographic_forecast import GeographicForecast
+
+        return GeographicForecast(dataset)
+    return Forecast(dataset)
 
 
 def member_path(
