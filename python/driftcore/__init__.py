@@ -30,6 +30,7 @@ from driftcore.forecast import (
 from driftcore.geographic import GeographicScenario
 from driftcore.geographic_forecast import GeographicForecast
 from driftcore.grids import VectorGrid, read_vector_grid, read_wind_grid
+from driftcore.hand_over import HandOver
 from driftcore.maps import MapGrid
 from driftcore.objects import FloatingBody, Leeway
 from driftcore.record import WindRecord, read_record
@@ -53,6 +54,7 @@ __all__ = [
     "GeographicForecast",
     "GeographicScenario",
     "GriddedWindRecord",
+    "HandOver",
     "HarmonicSea",
     "LandCoast",
     "Leeway",
