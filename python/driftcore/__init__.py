@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_forecast import GeographicForecast
     from driftcore.grids import VectorGrid, read_vector_grid, read_wind_grid
+    from driftcore.hand_over import HandOver
     from driftcore.objects import FloatingBody, Leeway
     from driftcore.releases import Release, Releases
     from driftcore.wind_fields import FieldBootstrap, GriddedWindRecord
@@ -55,6 +56,7 @@ _OF_THE_REAL_SEA = {
     "GeographicForecast": "geographic_forecast",
     "GeographicScenario": "geographic",
     "GriddedWindRecord": "wind_fields",
+    "HandOver": "hand_over",
     "LandCoast": "coast",
     "Leeway": "objects",
     "Release": "releases",
@@ -88,6 +90,7 @@ __all__ = [
     "GeographicForecast",
     "GeographicScenario",
     "GriddedWindRecord",
+    "HandOver",
     "HarmonicSea",
     "LandCoast",
     "Leeway",

@@ -50,10 +50,22 @@ class Bootstrap:
         seed: int,
         first_member: int = 0,
         phase: int | None = None,
+        hand_over: HandOver | None = None,
     ) -> tuple[_Floats, _Integers]: ...
     def draws_at(
         self, state: _Floats, count: int, seed: int, weigh_all: bool = False
     ) -> _Integers: ...
+
+@final
+class HandOver:
+    def __new__(
+        cls,
+        forecasts: _Floats,
+        spread: _Floats,
+        memory: list[list[float]],
+        innovation: list[list[float]],
+        scale: list[list[float]],
+    ) -> HandOver: ...
 
 @final
 class WindGenerator:
@@ -67,6 +79,7 @@ class WindGenerator:
         substeps: int,
         lead_in: int,
         phase: int | None = None,
+        hand_over: HandOver | None = None,
     ) -> WindGenerator: ...
     def path(self, seed: int, member: int, end: float) -> tuple[_Floats, _Floats]: ...
 

@@ -811,7 +811,9 @@ class Resampled:
         solver: _core.Solver,
         seed: int,
         phase: int | None = None,
+        hand_over: Callable[[int], _core.HandOver] | None = None,
     ) -> None:
+        """`hand_over` gives what the members begin with, so many steps before time 0."""
         self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
         substeps = max(1, math.ceil(step / (scenario.period / FINE_STEPS) - 1e-9))
@@ -832,6 +834,7 @@ class Resampled:
             substeps,
             lead_in,
             None if phase is None else wind.phase_before(phase, lead_in),
+            None if hand_over is None else hand_over(lead_in),
         )
         self.lead_in = lead_in
         self.times = np.arange(math.ceil(self.end / step - 1e-9) + 1) * np.float64(step)

@@ -14,7 +14,8 @@ from driftcore import _core
 from driftcore.errors import DriftCoreWarning, ScenarioError
 from driftcore.forecast import FINE_STEPS, Resampled
 from driftcore.grids import VectorGrid
-from driftcore.record import WindRecord, day_of_year, mean_cycle
+from driftcore.hand_over import HandOver
+from driftcore.record import WindRecord, phase_of_day
 from driftcore.sea import spline_axis, spline_coefficients
 from driftcore.wind import LocalGridBootstrap, WindPath
 from driftcore.wind_fields import FieldBootstrap
@@ -22,7 +23,9 @@ from driftcore.wind_fields import FieldBootstrap
 if TYPE_CHECKING:
     from driftcore.geographic import GeographicScenario
 
-    GeographicWind = LocalGridBootstrap | FieldBootstrap | VectorGrid | Sequence[WindPath]
+    GeographicWind = (
+        LocalGridBootstrap | HandOver | FieldBootstrap | VectorGrid | Sequence[WindPath]
+    )
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +55,8 @@ def winds_of(
     """
     if isinstance(wind, LocalGridBootstrap):
         return _Uniform(scenario, wind, solver, seed)
+    if isinstance(wind, HandOver):
+        return _HandedOver(scenario, wind, solver, seed)
     if isinstance(wind, FieldBootstrap):
         return _Fields(scenario, wind, seed)
     if isinstance(wind, VectorGrid):
@@ -60,7 +65,8 @@ def winds_of(
         return _Paths(scenario, wind)
     raise ScenarioError(
         f"wind: {type(wind).__name__} is not accepted; a fitted LocalGridBootstrap or "
-        "FieldBootstrap, a VectorGrid of winds, or a list of WindPath with datetime64 times"
+        "FieldBootstrap, a HandOver, a VectorGrid of winds, or a list of WindPath with datetime64 "
+        "times"
     )
 
 
@@ -86,6 +92,31 @@ class _Uniform:
 
     def attributes(self) -> dict[str, Any]:
         return self.resampled.attributes()
+
+
+class _HandedOver:
+    """A forecast first, then drawn by a bootstrap; uniform in space."""
+
+    members: int | None = None
+
+    def __init__(
+        self, scenario: GeographicScenario, wind: HandOver, solver: _core.Solver, seed: int
+    ) -> None:
+        wind.require(scenario.start)
+        climatology, origin = wind.climatology, scenario.origin
+        phase = _phase(climatology.record, scenario)
+        self.wind = wind
+        self.resampled = Resampled(
+            scenario, climatology, solver, seed, phase, lambda steps: wind.core(origin, steps)
+        )
+        self.resampled.warn()
+
+    def core(self, first: int, count: int) -> Any:
+        del first, count  # drawn by (seed, member)
+        return self.resampled.core
+
+    def attributes(self) -> dict[str, Any]:
+        return {**self.resampled.attributes(), "wind_forecast": self.wind.describe()}
 
 
 class _Paths:
@@ -235,9 +266,4 @@ def _phase(record: WindRecord, scenario: GeographicScenario) -> int:
             DriftCoreWarning,
             stacklevel=6,
         )
-    phase, _ = mean_cycle(record)
-    of_day = record.times - record.times.astype("datetime64[D]")
-    # Of a record whose first hour of the day is not 0: the nearest one.
-    rows = np.flatnonzero(of_day == of_day.min())
-    days = np.abs(day_of_year(record.times[rows]) - day_of_year(np.array([scenario.origin])))
-    return int(phase[rows[np.argmin(np.minimum(days, 365 - days))]])
+    return phase_of_day(record, scenario.origin)
