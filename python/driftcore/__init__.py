@@ -28,6 +28,7 @@ from driftcore.forecast import (
     trajectory,
 )
 from driftcore.geographic import GeographicScenario
+from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
 from driftcore.geographic_forecast import GeographicForecast
 from driftcore.grids import VectorGrid, read_vector_grid, read_wind_grid
 from driftcore.maps import MapGrid
@@ -50,6 +51,7 @@ __all__ = [
     "FieldBootstrap",
     "FloatingBody",
     "Forecast",
+    "GeographicConfiguration",
     "GeographicForecast",
     "GeographicScenario",
     "GriddedWindRecord",
@@ -80,6 +82,7 @@ __all__ = [
     "objects",
     "open_forecast",
     "paper",
+    "read_configuration",
     "read_record",
     "read_vector_grid",
     "read_wind_grid",
