@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from driftcore import coast, currents, objects, tides
     from driftcore.coast import LandCoast
     from driftcore.geographic import GeographicScenario
+    from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
     from driftcore.geographic_forecast import GeographicForecast
     from driftcore.grids import VectorGrid, read_vector_grid, read_wind_grid
     from driftcore.hand_over import HandOver
@@ -53,6 +54,7 @@ __version__ = _core.VERSION
 _OF_THE_REAL_SEA = {
     "FieldBootstrap": "wind_fields",
     "FloatingBody": "objects",
+    "GeographicConfiguration": "geographic_configuration",
     "GeographicForecast": "geographic_forecast",
     "GeographicScenario": "geographic",
     "GriddedWindRecord": "wind_fields",
@@ -62,6 +64,7 @@ _OF_THE_REAL_SEA = {
     "Release": "releases",
     "Releases": "releases",
     "VectorGrid": "grids",
+    "read_configuration": "geographic_configuration",
     "read_vector_grid": "grids",
     "read_wind_grid": "grids",
 }
@@ -87,6 +90,7 @@ __all__ = [
     "FieldBootstrap",
     "FloatingBody",
     "Forecast",
+    "GeographicConfiguration",
     "GeographicForecast",
     "GeographicScenario",
     "GriddedWindRecord",
@@ -118,6 +122,7 @@ __all__ = [
     "objects",
     "open_forecast",
     "paper",
+    "read_configuration",
     "read_record",
     "read_vector_grid",
     "read_wind_grid",

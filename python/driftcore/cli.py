@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from io import TextIOWrapper
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,14 +20,20 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
+    Task,
     TextColumn,
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 from typer.core import TyperGroup
 
 from driftcore import __version__
-from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError
+from driftcore.coast import place_name
+from driftcore.configuration import read_toml
+from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
+from driftcore.geographic import Scaling
 
 if TYPE_CHECKING:
     from driftcore.forecast import Forecast
@@ -59,6 +67,14 @@ app = typer.Typer(
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Threads = Annotated[int | None, typer.Option(min=1, help="Threads; default all processors.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
+ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast file (NetCDF).")]
+
+# Members followed to estimate what all of them cost.
+_FEW, _MORE = 32, 256
+# Stretches of coast shown.
+_STRETCHES = 5
 
 
 def _say_version(asked: bool) -> None:
@@ -126,25 +142,22 @@ def demo(
 
 @app.command(rich_help_panel="Forecast")
 def run(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")],
+    scenario: ScenarioFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write.")],
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the result as JSON instead of a table.")
-    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run the forecast that a scenario file describes.
 
-    To start from the paper's case, with every number explained:
-    `driftcore demo --print-scenario > my.toml`. A relative path of a wind record starts at the
-    folder of the scenario file.
+    A file to start from, with every number explained: `driftcore new my.toml`. Relative paths in
+    it start at its folder.
     """
     from driftcore.files import check_writable
-    from driftcore.scenario import RunConfiguration
+    from driftcore.geographic_configuration import read_configuration
 
-    configuration = RunConfiguration.from_toml(scenario)
+    configuration = read_configuration(scenario)
     check_writable(output, overwrite)
     # The forecast records its wind by this path: absolute, it can be run again from anywhere.
     forecast = _run(configuration, scenario.parent.resolve(), threads, quiet or as_json)
@@ -156,9 +169,155 @@ def run(
         _say_written([output])
 
 
+@app.command(rich_help_panel="Forecast")
+def check(
+    scenario: ScenarioFile,
+    threads: Threads = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check a scenario file, say what it sets up, and estimate what the run costs.
+
+    Everything is read, the wind is fitted, and a few members are followed.
+    """
+    from driftcore.forecast import default_threads, planned
+    from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DriftCoreWarning)
+        configuration = read_configuration(scenario)
+        wanted = configuration.ensemble
+        with err.status("reading, and fitting the wind"):
+            start = perf_counter()
+            follow = planned(configuration, scenario.parent.resolve())
+            times, sizes, numbers = [], [], (min(_FEW, wanted.members), min(_MORE, wanted.members))
+            times.append(perf_counter() - start)
+            for members in numbers:
+                start = perf_counter()
+                keep = round(members * min(1, wanted.keep / wanted.members))
+                forecast = follow(members=members, keep=keep, threads=threads)
+                times.append(perf_counter() - start)
+                sizes.append(forecast.dataset.nbytes)
+    told = [str(w.message) for w in caught if issubclass(w.category, DriftCoreWarning)]
+    if isinstance(configuration, GeographicConfiguration):
+        told += configuration.doubts()
+    told = list(dict.fromkeys(told))
+    reading, few, more = times
+    between = max(1, numbers[1] - numbers[0])
+    each, size = max(0.0, more - few) / between, (sizes[1] - sizes[0]) / between
+    rest = wanted.members - numbers[1]
+    seconds = reading + more + each * rest
+    estimate = {
+        "members": wanted.members,
+        "threads": threads or default_threads(),
+        "preparation_s": reading + max(0.0, few - each * numbers[0]),
+        "seconds": seconds,
+        "members_per_second": 1 / each if each else None,
+        "megabytes": (sizes[1] + size * rest) / 1e6,
+    }
+    if as_json:
+        about = {"attributes": _attributes(forecast), "estimate": estimate, "warnings": told}
+        sys.stdout.write(json.dumps(about) + "\n")
+        return
+    table = _rows([*_set_up(forecast), *_how(forecast)])
+    table.add_row(
+        "cost",
+        f"{wanted.members} members: about {_duration(seconds)} on "
+        f"{estimate['threads']} threads, {estimate['megabytes']:.0f} MB",
+    )
+    out.print(table)
+    for message in told:
+        _say("yellow", "warning", message)
+
+
+@app.command(rich_help_panel="Forecast")
+def new(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Scenario file (TOML) to write.")],
+    geographic: Annotated[
+        bool, typer.Option("--geographic/--paper", help="On the real sea, or the paper's case.")
+    ] = True,
+    release: Annotated[
+        tuple[float, float, str] | None,
+        typer.Option(
+            metavar="LON LAT TIME",
+            help="Degrees east, degrees north, UTC; e.g. -4.1 47.2 2026-07-01T06:00",
+        ),
+    ] = None,
+    days: Annotated[float, typer.Option(help="Length of the run.")] = 60.0,
+    drifter: Annotated[
+        str | None,
+        typer.Option("--object", metavar="KEY", help="Search object; see `driftcore objects`."),
+    ] = None,
+    wind: Annotated[
+        str | None, typer.Option(metavar="CSV", help="Wind record: u10, v10 [m/s], UTC.")
+    ] = None,
+    tides: Annotated[
+        str | None, typer.Option(metavar="NC", help="Tidal atlas, `biscay` or `none`.")
+    ] = None,
+    current: Annotated[str | None, typer.Option(metavar="NC", help="Residual current.")] = None,
+    coast: Annotated[str | None, typer.Option(metavar="MAP", help="Land polygons.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a scenario file to start from, with every number explained.
+
+    Without options it is an example in the Bay of Biscay that runs as it is.
+    """
+    from driftcore.files import replacing
+    from driftcore.geographic_configuration import GeographicConfiguration
+    from driftcore.scenario import RunConfiguration
+
+    configuration: RunConfiguration | GeographicConfiguration
+    if geographic:
+        configuration = GeographicConfiguration.example(
+            release, days, drifter, wind=wind, tides=tides, current=current, coast=coast
+        )
+    else:
+        given = {"release": release, "object": drifter, "wind": wind, "tides": tides}
+        given |= {"current": current, "coast": coast}
+        for name, value in given.items():
+            if value is not None:
+                raise ScenarioError(f"--{name}: is not accepted with --paper; edit the file")
+        configuration = RunConfiguration()
+    with replacing(file, overwrite) as temporary:
+        temporary.write_text(configuration.to_toml(), encoding="utf-8")
+    _say_written([file])
+
+
+@app.command(rich_help_panel="Forecast")
+def objects(
+    word: Annotated[
+        str, typer.Argument(metavar="[WORD]", help="Those alone that hold this word.")
+    ] = "",
+) -> None:
+    """List the search objects whose leeway is known."""
+    from driftcore.objects import categories
+
+    table = Table("key", "what", "downwind")
+    for key, row in categories().iterrows():
+        if word.casefold() in f"{key} {row['description']}".casefold():
+            table.add_row(
+                str(key), escape(row["description"]), f"{row['downwind_slope_percent']} %"
+            )
+    if not table.row_count:
+        raise ScenarioError(f"word: {word!r} is in no category; driftcore objects lists them all")
+    out.print(table)
+
+
+@app.command(rich_help_panel="Results")
+def info(forecast: ForecastFile, as_json: AsJson = False) -> None:
+    """Say what is in a forecast file: what was run, and what came of it."""
+    from driftcore.forecast import open_forecast
+
+    opened = open_forecast(forecast)
+    if as_json:
+        about = {**_result(opened), "attributes": _attributes(opened)}
+        sys.stdout.write(json.dumps(about) + "\n")
+        return
+    _summary(opened, [*_set_up(opened), ("written", opened.dataset.attrs["history"])])
+
+
 @app.command(rich_help_panel="Results")
 def plot(
-    forecast: Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast file (NetCDF).")],
+    forecast: ForecastFile,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Folder for the figures; default that of the file."),
@@ -256,6 +415,7 @@ def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> 
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("members"),
+        _Rate(),
         TimeRemainingColumn(),
         console=err,
         disable=quiet or not err.is_terminal,
@@ -270,11 +430,65 @@ def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> 
         return run_configuration(configuration, folder=folder, threads=threads, progress=progress)
 
 
+class _Rate(ProgressColumn):
+    """Members followed in a second."""
+
+    def render(self, task: Task) -> Text:
+        return Text(f"{task.speed:.0f}/s" if task.speed and task.total else "")
+
+
+def _attributes(forecast: Forecast) -> dict[str, Any]:
+    """Attributes of a forecast as JSON takes them, without its TOML."""
+    return {
+        name: value.tolist() if hasattr(value, "tolist") else value
+        for name, value in forecast.dataset.attrs.items()
+        if name != "configuration"
+    }
+
+
+def _days_per_unit(forecast: Forecast) -> float:
+    """Days in the unit of its stranding times."""
+    attributes = forecast.dataset.attrs
+    if "days" in attributes:
+        return 1.0
+    return float(attributes["tide_period_h"] / attributes["epsilon"] / 24)
+
+
+def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
+    """Probabilities by stretch of the coast, the greatest first, where it is divided."""
+    from driftcore.geographic_configuration import GeographicConfiguration
+    from driftcore.geographic_forecast import GeographicForecast
+
+    if not isinstance(forecast, GeographicForecast) or not forecast.followed:
+        return []
+    text = forecast.configuration()
+    if "kind" not in read_toml(text):  # made in Python
+        return []
+    coast = GeographicConfiguration.from_toml(text).stretches()
+    if coast is None:
+        return []
+    found = forecast.stranding_by_stretch(coast)
+    told = []
+    for name, p, low, high in zip(
+        *(found[key].values.tolist() for key in ("stretch", "probability", "low", "high")),
+        strict=True,
+    ):
+        if p:
+            shape = coast.stretches.get(name)
+            middle = None if shape is None else [shape.centroid.x, shape.centroid.y]
+            told.append(
+                {"stretch": name, "probability": p, "low": low, "high": high, "middle": middle}
+            )
+    return sorted(told, key=lambda stretch: -stretch["probability"])
+
+
 def _result(forecast: Forecast) -> dict[str, Any]:
     # Without a member that could be followed there is no probability.
     p = forecast.stranding_probability() if forecast.followed else None
     quantiles = forecast.stranding_time_quantiles().values
     attributes = forecast.dataset.attrs
+    targets = forecast.dataset["target"].values if "target" in forecast.dataset else ()
+    entries = {str(name): forecast.entry_probability(name) for name in targets if p}
     return {
         "stranding_probability": p and p.estimate,
         "low": p and p.low,
@@ -285,24 +499,82 @@ def _result(forecast: Forecast) -> dict[str, Any]:
             str(q): None if t != t else float(t)
             for q, t in zip((0.05, 0.5, 0.95), quantiles, strict=True)
         },
+        "days_per_unit_of_time": _days_per_unit(forecast),
+        "stretches": _stretches(forecast),
+        "targets": {
+            name: {"probability": e.estimate, "low": e.low, "high": e.high}
+            for name, e in entries.items()
+        },
         "model": attributes["model"],
         "seed": int(attributes["seed"]),
         "wind": attributes["wind_label"],
     }
 
 
-def _summary(forecast: Forecast) -> None:
+def _rows(rows: Iterable[tuple[str, str]] = ()) -> Table:
+    """Table of what and its value, without lines."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for name, text in rows:
+        table.add_row(name, escape(text))
+    return table
+
+
+def _duration(seconds: float) -> str:
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.1f} {unit}"
+    return f"{seconds:.1f} s"
+
+
+def _set_up(forecast: Forecast) -> Iterator[tuple[str, str]]:
+    """Tell what a forecast is of, from its attributes."""
+    about = forecast.dataset.attrs
+    yield "scenario", str(about["scenario"])
+    if "days" not in about:
+        yield "release", f"{about['release']}, in units of the paper"
+        drag = about["drag"] / _days_per_unit(forecast)
+        yield "object", f"floating body, drag rate {about['drag']:g} ({drag:.2g} per day)"
+        yield "tide", f"{about['tide_period_h']:g} h, epsilon {about['epsilon']:.4g}"
+        yield "coast", str(about.get("coast", "none"))
+        return
+    yield "release", str(about["release"])
+    drifter = read_toml(about["drifter"])
+    if "category" in drifter:
+        known = f"leeway of {drifter['category']}"
+    else:
+        response, factor = (
+            value["kind"] if isinstance(value, dict) else f"{value:g}"
+            for value in (drifter["response_time_h"], drifter["wind_factor"])
+        )
+        known = f"floating body, response time {response} h, wind factor {factor}"
+    yield "object", known
+    for name in ("tides", "current", "coast"):
+        yield name, re.sub(r"^<?[A-Z]\w+[ (](.*)[>)]$", r"\1", str(about[name]))
+    scale = {key: about[f"scaling_{key}"] for key in Scaling._fields}
+    yield (
+        "scaling",
+        f"epsilon {scale['epsilon']:.2g} (a tide of {about['tide_period_h']:.2f} h over "
+        f"{about['days']:g} days); tide up to {scale['tide']:.2g} m/s, residual "
+        f"{scale['residual']:.2g} m/s; tidal excursion {scale['excursion_km']:.1f} km, over which "
+        f"the tide changes by {scale['steepness']:.0%}",
+    )
+
+
+def _how(forecast: Forecast) -> Iterator[tuple[str, str]]:
+    """Tell by which wind and model."""
+    about = forecast.dataset.attrs
+    order = f", order {about['order']}" if "order" in about else ""
+    yield "wind", about["wind_label"]
+    yield "model", f"{about['model']}{order}, seed {about['seed']}"
+
+
+def _summary(forecast: Forecast, about: Iterable[tuple[str, str]] = ()) -> None:
     result = _result(forecast)
     attributes = forecast.dataset.attrs
-    days_per_unit = attributes["tide_period_h"] / attributes["epsilon"] / 24
-    order = f", order {attributes['order']}" if "order" in attributes else ""
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    table.add_row("wind", escape(attributes["wind_label"]))
-    table.add_row("model", f"{result['model']}{order}, seed {result['seed']}")
-    table.add_row(
-        "run",
-        f"{attributes['members']} members, {attributes['duration'] * days_per_unit:.1f} days",
-    )
+    unit = result["days_per_unit_of_time"]
+    days = attributes["days"] if "days" in attributes else attributes["duration"] * unit
+    run = ("run", f"{attributes['members']} members, {days:.1f} days")
+    table = _rows([*about, *_how(forecast), run])
     if forecast.followed:
         table.add_row(
             "strands",
@@ -313,17 +585,37 @@ def _summary(forecast: Forecast) -> None:
     if middle is not None:
         table.add_row(
             "when",
-            f"median {middle * days_per_unit:.1f} days; nine in ten between "
-            f"{early * days_per_unit:.1f} and {late * days_per_unit:.1f}",
+            f"median {middle * unit:.1f} days; nine in ten between "
+            f"{early * unit:.1f} and {late * unit:.1f}",
         )
         sectors = forecast.stranding_by_sector(8)["probability"].values
         names = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
         ranked = sorted(zip(sectors, names, strict=True), reverse=True)[:3]
         table.add_row("where", ", ".join(f"{name} {share:.3f}" for share, name in ranked if share))
+    for k, stretch in enumerate(result["stretches"][:_STRETCHES]):
+        table.add_row(
+            "" if k else "stretches",
+            f"{stretch['probability']:.3f}  ({stretch['low']:.3f} to {stretch['high']:.3f})  "
+            + escape(_named(stretch)),
+        )
+    for k, (name, entry) in enumerate(result["targets"].items()):
+        table.add_row(
+            "" if k else "enters",
+            f"{entry['probability']:.3f}  ({entry['low']:.3f} to {entry['high']:.3f})  "
+            + escape(name),
+        )
     for name in ("left_domain", "failed"):
         if result[name]:
             table.add_row(name.replace("_", " "), f"{result[name]} members")
     out.print(table)
+
+
+def _named(stretch: dict[str, Any]) -> str:
+    """Name of a stretch, and its middle."""
+    if stretch["middle"] is None:
+        return str(stretch["stretch"])
+    longitude, latitude = stretch["middle"]
+    return f"{stretch['stretch']}, about {place_name(longitude, latitude)}"
 
 
 def _say_written(paths: list[Path]) -> None:

@@ -209,7 +209,8 @@ class LandCoast:
         return len(self.polygons)
 
     def __repr__(self) -> str:
-        return f"<LandCoast {self.label}: {len(self)} polygons, box {self.box}>"
+        cut = "" if self.box is None else f", box {self.box}"
+        return f"<LandCoast {self.label}: {len(self)} polygons{cut}>"
 
     def around(self, longitude: float) -> LandCoast:
         """Give the same land with longitudes from `longitude` - 180 to `longitude` + 180.
@@ -452,8 +453,8 @@ class LandCoast:
             outside |= (values[:, 1] < south) | (values[:, 1] > north)
             if outside.any():
                 raise ScenarioError(
-                    f"{what} at {_place(values[outside][0])} is not accepted; it lies outside the "
-                    f"region west {west:g}, east {east:g}, south {south:g}, north {north:g}"
+                    f"{what} at {place_name(*values[outside][0])} is not accepted; it lies outside "
+                    f"the region west {west:g}, east {east:g}, south {south:g}, north {north:g}"
                 )
         if land.any():
             distance, bearing = self.distance_to_sea_km(*values[land][0])
@@ -463,7 +464,7 @@ class LandCoast:
                 else "with no sea around it in the region"
             )
             share = "" if len(land) == 1 else f" ({land.sum()} of {len(land)} points do)"
-            place = _place(values[land][0])
+            place = place_name(*values[land][0])
             raise ScenarioError(f"{what} at {place} is not accepted; it lies on land, {far}{share}")
 
     def with_stretches(
@@ -631,8 +632,9 @@ def _check_within(name: str, value: Any, low: float, high: float) -> None:
         )
 
 
-def _place(point: Float) -> str:
-    longitude, latitude = float(near_longitude(point[0], 0)), float(point[1])
+def place_name(longitude: float, latitude: float) -> str:
+    """Write a position as people do."""
+    longitude = float(near_longitude(longitude, 0))
     east, north = "W" if longitude < 0 else "E", "S" if latitude < 0 else "N"
     return f"{abs(latitude):.4f} {north} {abs(longitude):.4f} {east}"
 
@@ -798,8 +800,8 @@ def _run_on(ring: BaseGeometry, label: str) -> Float:
     if (steps[steps > 180] == _CIRCLE).all():
         return points
     raise ScenarioError(
-        f"{label}: a ring around a pole, near {_place(points[0])}, is not accepted; it should run "
-        "along the dateline to the pole, along the pole, and back"
+        f"{label}: a ring around a pole, near {place_name(*points[0])}, is not accepted; it should "
+        "run along the dateline to the pole, along the pole, and back"
     )
 
 

@@ -8,7 +8,8 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Self
+from types import UnionType
+from typing import Annotated, Any, Self, Union, get_args, get_origin
 
 import numpy as np
 import tomlkit
@@ -76,25 +77,11 @@ class Configuration(BaseModel):
         ScenarioError
             The file is missing or not TOML (with the line), or a value is not accepted.
         """
-        import tomllib
+        return cls(**read_toml(source))
 
-        name = "TOML text (a file is named by a Path)"
-        text = source
-        if isinstance(source, Path):
-            name = str(source)
-            try:
-                text = source.read_text(encoding="utf-8-sig")
-            except FileNotFoundError:
-                raise ScenarioError(f"{source}: no such file") from None
-            except OSError as error:
-                raise ScenarioError(f"{source}: cannot be read: {error.strerror}") from None
-            except UnicodeDecodeError as error:
-                raise ScenarioError(f"{source}: is not UTF-8 text: {error}") from None
-        try:
-            values = tomllib.loads(str(text))
-        except (ValueError, RecursionError) as error:
-            raise ScenarioError(f"{name}: not valid TOML: {error}") from None
-        return cls(**values)
+    def in_toml(self, name: str) -> Any:
+        """Give the value of a field as it is written in TOML."""
+        return getattr(self, name)
 
     def to_toml(self) -> str:
         """Write as TOML, each field with its description as a comment."""
@@ -103,18 +90,47 @@ class Configuration(BaseModel):
         return tomlkit.dumps(document).lstrip()
 
 
+def read_toml(source: str | Path) -> dict[str, Any]:
+    """Read the values of TOML: text, or the path of a file.
+
+    Raises
+    ------
+    ScenarioError
+        The file is missing or not TOML (with the line).
+    """
+    import tomllib
+
+    name = "TOML text (a file is named by a Path)"
+    text = source
+    if isinstance(source, Path):
+        name = str(source)
+        try:
+            text = source.read_text(encoding="utf-8-sig")
+        except FileNotFoundError:
+            raise ScenarioError(f"{source}: no such file") from None
+        except OSError as error:
+            raise ScenarioError(f"{source}: cannot be read: {error.strerror}") from None
+        except UnicodeDecodeError as error:
+            raise ScenarioError(f"{source}: is not UTF-8 text: {error}") from None
+    try:
+        return tomllib.loads(str(text))
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(f"{name}: not valid TOML: {error}") from None
+
+
 def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> None:
     """Plain values first, then the sub-tables, as TOML needs."""
-    nested: list[tuple[str, Configuration | dict[str, Any] | None, str | None]] = []
+    nested: list[tuple[str, Any, str | None]] = []
     for name, field in type(configuration).model_fields.items():
-        value = getattr(configuration, name)
+        value = configuration.in_toml(name)
         comment = field.description
-        if isinstance(value, Configuration) or (isinstance(value, dict) and value):
+        if _is_table(value):
             nested.append((name, value, comment))
             continue
-        if value == field.default and value in (None, {}):
-            if nested:  # what is absent here is a table too
-                nested.append((name, None, comment))
+        if value == field.default and value in (None, {}, ()):
+            tables = _tables(field.annotation)
+            if nested or tables:  # what is absent here is a table too
+                nested.append((name, tables, comment))
                 continue
             table.add(tomlkit.comment(f"{name} =   # {comment}"))
             continue
@@ -127,19 +143,26 @@ def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> 
             item.comment(comment)
         table.add(name, item)
     for name, value, comment in nested:
-        if value is None:
-            table.add(tomlkit.nl())
-            table.add(tomlkit.comment(f"[{name}]   # {comment}"))
+        table.add(tomlkit.nl())
+        if isinstance(value, list):
+            several = type(configuration).model_fields[name].default == ()
+            header = f"[[{name}]]" if several else f"[{name}]"
+            table.add(tomlkit.comment(f"{header}   # {comment}"))
+            for line in _explained(value):
+                table.add(tomlkit.comment(line))
             continue
         _add(table, name, value, comment)
 
 
-def _add(
-    table: tomlkit.TOMLDocument | Table,
-    name: str,
-    value: Configuration | dict[str, Configuration],
-    comment: str | None,
-) -> None:
+def _add(table: tomlkit.TOMLDocument | Table, name: str, value: Any, comment: str | None) -> None:
+    if isinstance(value, tuple):
+        several = tomlkit.aot()
+        for part in value:
+            inner = tomlkit.table()
+            _fill(inner, part)
+            several.append(inner)
+        table.add(name, several)
+        return
     inner = tomlkit.table()
     if comment:
         inner.comment(comment)
@@ -147,9 +170,38 @@ def _add(
         _fill(inner, value)
     else:
         for key, part in value.items():
-            _add(inner, key, part, None)
-    table.add(tomlkit.nl())
+            if _is_table(part):
+                inner.add(tomlkit.nl())
+                _add(inner, key, part, None)
+            else:
+                inner.add(key, _item(part))
     table.add(name, inner)
+
+
+def _is_table(value: Any) -> bool:
+    """Whether TOML writes a value as a table, or as several of a name."""
+    if isinstance(value, tuple):
+        return bool(value) and isinstance(value[0], Configuration)
+    return isinstance(value, Configuration) or bool(isinstance(value, dict) and value)
+
+
+def _tables(annotation: Any) -> list[type[Configuration]]:
+    """Find the configurations that a field may hold by itself."""
+    if isinstance(annotation, type) and issubclass(annotation, Configuration):
+        return [annotation]
+    if get_origin(annotation) in (Union, UnionType, Annotated):
+        return [table for part in get_args(annotation) for table in _tables(part)]
+    return []
+
+
+def _explained(tables: list[type[Configuration]]) -> Iterator[str]:
+    """Lines that stand, as comments, for tables that are absent: their fields and defaults."""
+    for table in tables[:1]:
+        for name, field in table.model_fields.items():
+            unset = field.is_required() or field.default in (None, {})
+            value = "" if unset else f" {_item(field.default).as_string()}"
+            comment = f"   # {field.description}" if field.description else ""
+            yield f"{name} ={value}{comment}"
 
 
 def _item(value: Any) -> Item:
@@ -172,8 +224,10 @@ def _plain(value: Any) -> Any:
 
 def _strict(value: Any) -> Any:
     """Make lists tuples and NumPy's numbers Python's, as strict validation asks for."""
-    if isinstance(value, np.generic):
+    if isinstance(value, np.generic) and not isinstance(value, np.datetime64):
         return value.item()
+    if isinstance(value, dict):
+        return {name: _strict(part) for name, part in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
         return tuple(_strict(part) for part in value)
     return value

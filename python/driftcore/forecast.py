@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from driftcore.geographic import GeographicScenario
+    from driftcore.geographic_configuration import GeographicConfiguration
+    from driftcore.geographic_forecast import GeographicForecast
 
 Progress = Callable[[int, int], None]
 Floats = NDArray[np.float64]
@@ -504,7 +506,7 @@ class Forecast:
 
 
 def run(
-    configuration: RunConfiguration,
+    configuration: RunConfiguration | GeographicConfiguration,
     *,
     folder: Path | None = None,
     threads: int | None = None,
@@ -514,13 +516,49 @@ def run(
 
     Parameters
     ----------
-    configuration : RunConfiguration
-        As `RunConfiguration.from_toml` reads it.
+    configuration : RunConfiguration or GeographicConfiguration
+        As their `from_toml`, or `driftcore.read_configuration`, reads it.
     folder : Path, optional
-        Where a relative path of the wind record starts; default the working folder.
+        Where relative paths start; default the working folder.
     threads, progress
         As in `forecast`.
     """
+    return planned(configuration, folder)(threads=threads, progress=progress)
+
+
+def planned(
+    configuration: RunConfiguration | GeographicConfiguration, folder: Path | None = None
+) -> partial[Forecast] | partial[GeographicForecast]:
+    """Prepare the forecast that a configuration names, all but the members.
+
+    Returns
+    -------
+    functools.partial
+        `forecast`, or the one of the real sea; its `args` are the scenario and the fitted wind.
+    """
+    if not isinstance(configuration, RunConfiguration):
+        from driftcore.geographic_forecast import geographic_forecast
+
+        # Absolute paths, so that what is stored can be run again from anywhere.
+        whole = configuration.rooted(folder)
+        members, sea = whole.ensemble, whole.scenario()
+        return partial(
+            geographic_forecast,
+            sea,
+            fitted_wind(whole.wind),
+            members=members.members,
+            model=members.model,
+            order=members.order,
+            seed=members.seed,
+            keep=members.keep,
+            times=sea.instants(
+                sea.since_origin(sea.start) + regular_times(sea.days, members.outputs_h / 24)
+            ).clip(max=sea.end),
+            rtol=members.rtol,
+            maps=None if whole.maps is None else whole.maps.grid(),
+            targets=whole.targets,
+            configuration=whole.to_toml(),
+        )
     settings = configuration.ensemble
     scenario = configuration.scenario
     solver_of(
@@ -535,7 +573,8 @@ def run(
     )
     _compiled(scenario)
     interval = scenario.period / settings.outputs_per_tide
-    return forecast(
+    return partial(
+        forecast,
         scenario,
         fitted_wind(configuration.wind, folder),
         members=settings.members,
@@ -549,8 +588,6 @@ def run(
         rtol=settings.rtol,
         maps=configuration.maps,
         targets=configuration.targets,
-        threads=threads,
-        progress=progress,
     )
 
 

@@ -132,7 +132,7 @@ class GeographicScenario:
             if first > self.start or last < self.end:
                 raise ScenarioError(
                     f"current: it covers {first} to {last}; the run needs {self.start} to "
-                    f"{self.end}; give current.mean() to use its mean"
+                    f"{self.end}; give current.mean() (in TOML: mean = true) to use its mean"
                 )
 
     @cached_property
@@ -426,7 +426,7 @@ class GeographicScenario:
             "scenario": self.name,
             "start": str(self.start),
             "days": self.days,
-            "release": repr(self.release),
+            "release": self.release.describe(),
             "drifter": self.drifter.to_toml(),
             "tides": repr(self.tides) if self.tides is not None else "none",
             "current": self.current.describe() if self.current is not None else "none",

@@ -26,7 +26,7 @@ from driftcore.geographic import GeographicScenario
 from driftcore.geographic_winds import core_path, winds_of
 from driftcore.grids import VectorGrid
 from driftcore.maps import MapGrid
-from driftcore.scenario import ModelName
+from driftcore.scenario import ModelName, Polygons
 from driftcore.statistics import Probability, probability, wilson
 from driftcore.wind import WindPath
 
@@ -116,12 +116,14 @@ def geographic_forecast(
     threads: int | None = None,
     chunk: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    configuration: str = "# made in Python",
 ) -> GeographicForecast:
     """Follow an ensemble on the real sea: see `forecast`.
 
     `times` are UTC, by default every 3 hours. A map's `x` are longitudes, `y` latitudes, its
     `times` days after the earliest release, and `interval` is in days. A target is a polygon of
-    [longitude, latitude] points.
+    [longitude, latitude] points, or `Polygons`. `configuration` is the TOML text, if any, that the
+    arguments come from: it is stored, so that `driftcore run` repeats it.
     """
     _require_geographic(scenario)
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
@@ -186,7 +188,7 @@ def geographic_forecast(
         "members": members,
         **winds.attributes(),
         **scenario.describe(),
-        "configuration": "# made in Python",
+        "configuration": configuration,
         **provenance(f"forecast of {members} members"),
     }
     if counted is not None and grid is not None and maps is not None:
@@ -338,14 +340,19 @@ def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
     return np.asarray(np.minimum(scenario.since_origin(instants), scenario.duration))
 
 
-def _area(scenario: GeographicScenario, name: str, ring: Any) -> _core.Coast:
-    points = np.asarray(getattr(getattr(ring, "exterior", ring), "coords", ring), dtype=float)
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ScenarioError(f"targets.{name}: must be a polygon, or [longitude, latitude] points")
-    points = points - np.array(scenario.reference)
-    points[:, 0] -= 360 * np.round(points[:, 0].mean() / 360)
+def _area(scenario: GeographicScenario, name: str, area: Any) -> _core.Coast:
+    rings = []
+    for ring in area.rings if isinstance(area, Polygons) else (area,):
+        points = np.asarray(getattr(getattr(ring, "exterior", ring), "coords", ring), dtype=float)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ScenarioError(
+                f"targets.{name}: must be a polygon, or [longitude, latitude] points"
+            )
+        points = points - np.array(scenario.reference)
+        points[:, 0] -= 360 * np.round(points[:, 0].mean() / 360)
+        rings.append(np.ascontiguousarray(points))
     try:
-        return _core.Coast.polygons([np.ascontiguousarray(points)], False)
+        return _core.Coast.polygons(rings, False)
     except ValueError as error:
         raise ScenarioError(f"targets.{name}: {error}") from None
 

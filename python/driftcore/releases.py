@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
 
-from driftcore.coast import geodesic, near_longitude
+from driftcore.coast import geodesic, near_longitude, place_name
 from driftcore.configuration import Configuration
 from driftcore.draws import Stream, member_uniforms
 from driftcore.errors import ScenarioError, need_geo
@@ -84,7 +84,8 @@ class Release(Configuration):
     coordinates: Annotated[
         tuple[Annotated[tuple[Position, ...], Field(min_length=1)], ...], Field(min_length=1)
     ] = Field(
-        description="parts, each a list of [longitude, latitude]; of a polygon: rings, by parity"
+        description="[longitude, latitude] of a point, a list of them of a line or a polygon; or a "
+        "list of such lists: several lines, or the rings of a polygon, by parity"
     )
     start: datetime = Field(description="time of the release, or the first of a window; UTC")
     end: datetime | None = Field(default=None, description="last time of the window; UTC")
@@ -199,6 +200,25 @@ class Release(Configuration):
             for name, value in values.items()
         }
 
+    @field_validator("coordinates", mode="before")
+    @classmethod
+    def _of_one_part(cls, value: Any) -> Any:
+        """Take a point for a part of one point, and a list of points for the only part."""
+        depth, inner = 0, value
+        while isinstance(inner, tuple) and inner:
+            depth, inner = depth + 1, inner[0]
+        # Of numbers: a point is one list deep, a part two, several parts three.
+        for _ in range(3 - depth if depth else 0):
+            value = (value,)
+        return value
+
+    def in_toml(self, name: str) -> Any:
+        """Give the value of a field, the coordinates without lists of one."""
+        value = super().in_toml(name)
+        if name == "coordinates" and len(value) == 1:
+            return value[0][0] if self.kind == "point" else value[0]
+        return value
+
     @field_validator("start", mode="before")
     @classmethod
     def _start_in_utc(cls, value: Any) -> datetime:
@@ -226,6 +246,22 @@ class Release(Configuration):
         if self.kind == "polygon":
             _triangles(self.coordinates)
         return self
+
+    def describe(self) -> str:
+        """Say in one line where and when."""
+        points = [point for part in self.coordinates for point in part]
+        where = place_name(*points[0])
+        if self.kind != "point":
+            where = f"a {self.kind} of {len(points)} points from {where}"
+        if self.radius_m:
+            where += f", within {self.radius_m:g} m"
+        if self.position_error_m:
+            where += f", known to {self.position_error_m:g} m"
+        time = f"{self.start:%Y-%m-%d %H:%M}"
+        if self.end is not None:
+            time += f" to {self.end:%Y-%m-%d %H:%M}"
+        known = f", known to {self.time_error_h:g} h" if self.time_error_h else ""
+        return f"{where}; {time} UTC{known}"
 
     def sample(self, first: int, count: int, seed: int) -> Released:
         """Give place and time of some members: those of a run with this release alone.
@@ -318,6 +354,11 @@ class Releases(Configuration):
                 f"the {len(self.releases)} releases, not all 0"
             )
         return self
+
+    def describe(self) -> str:
+        """Say in one line where and when."""
+        more = len(self.releases) - 1
+        return self.releases[0].describe() + (f"; and {more} more" if more else "")
 
     def release_of(self, first: int, count: int) -> Integer:
         """Say which release each member belongs to, shape (count,)."""

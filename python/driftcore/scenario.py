@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
@@ -19,7 +19,7 @@ Side = Literal["inside", "outside"]
 _LONGEST_TIDES = 70_000
 _LONGEST_DAYS = 36_525
 # 16 GB of them.
-_MOST_POSITIONS = 10**9
+MOST_POSITIONS = 10**9
 
 
 def check_order(model: str, order: int | None) -> int | None:
@@ -166,8 +166,8 @@ class WindConfiguration(Configuration):
     memory_h: PositiveFloat = Field(default=3.0, description="memory of the small scale [h]")
 
 
-class EnsembleConfiguration(Configuration):
-    """How the members are followed, and what is kept of them."""
+class MembersConfiguration(Configuration):
+    """What every ensemble is told."""
 
     members: Annotated[int, Field(ge=1, le=10**8)] = Field(
         default=1000, description="number of winds drawn"
@@ -179,22 +179,27 @@ class EnsembleConfiguration(Configuration):
     order: Annotated[int, Field(ge=0, le=2)] | None = Field(
         default=None, description='order of the expansion: 1 or 2 ("mean-flow"), 0 or 1 ("paper")'
     )
-    window: PositiveFloat | None = Field(
-        default=None, description='averaging window of the wind, "paper" only; epsilon/2 if absent'
-    )
-    wind_terms: bool = Field(default=True, description='keep the terms B_W, "paper" only')
     rtol: Annotated[float, Field(ge=1e-15, lt=0.1)] = Field(
         default=1e-6, description="relative tolerance"
     )
     keep: Annotated[int, Field(ge=0)] = Field(
         default=1000, description="members whose trajectories are kept, from the first on"
     )
-    outputs_per_tide: PositiveFloat = Field(default=8, description="positions kept per tide")
 
     @model_validator(mode="after")
-    def _order_exists(self) -> EnsembleConfiguration:
+    def _order_exists(self) -> Self:
         check_order(self.model, self.order)
         return self
+
+
+class EnsembleConfiguration(MembersConfiguration):
+    """How the members are followed, and what is kept of them."""
+
+    window: PositiveFloat | None = Field(
+        default=None, description='averaging window of the wind, "paper" only; epsilon/2 if absent'
+    )
+    wind_terms: bool = Field(default=True, description='keep the terms B_W, "paper" only')
+    outputs_per_tide: PositiveFloat = Field(default=8, description="positions kept per tide")
 
 
 class RunConfiguration(Configuration):
@@ -215,7 +220,7 @@ class RunConfiguration(Configuration):
     def _targets_from_rings(cls, value: Any) -> Any:
         if not isinstance(value, Mapping):
             raise ValueError(f"{value!r} is not accepted; it should be a table of name = ring")
-        return {str(name): _area(str(name), shape) for name, shape in value.items()}
+        return {str(name): area_of(str(name), shape) for name, shape in value.items()}
 
     @model_validator(mode="after")
     def _maps_fit_the_run(self) -> RunConfiguration:
@@ -228,16 +233,16 @@ class RunConfiguration(Configuration):
         ensemble = self.ensemble
         tides = self.scenario.duration / self.scenario.epsilon
         kept = min(ensemble.keep, ensemble.members) * ensemble.outputs_per_tide * tides
-        if kept > _MOST_POSITIONS:
+        if kept > MOST_POSITIONS:
             raise ValueError(
                 f"ensemble.keep: {ensemble.keep} is not accepted; with outputs_per_tide = "
                 f"{ensemble.outputs_per_tide} the run would keep {kept:.3g} positions; "
-                f"at most {_MOST_POSITIONS:.0e}"
+                f"at most {MOST_POSITIONS:.0e}"
             )
         return self
 
 
-def _area(name: str, shape: Any) -> Polygons:
+def area_of(name: str, shape: Any) -> Polygons:
     """Polygons from a ring of points, from Polygons, or from a polygon of another library."""
     if isinstance(shape, Polygons):
         return shape
