@@ -151,10 +151,12 @@ pub(super) fn slow_position(
 ) -> Result<Vec2, DriftError> {
     let mut y = x;
     for _ in 0..MAX_ITERATIONS {
-        let next = x - displacement(y)?;
+        let displacement = displacement(y)?;
+        let next = x - displacement;
         let moved = (next - y).norm();
         y = next;
-        if moved <= 4.0 * f64::EPSILON * (x.norm() + y.norm()) {
+        // The displacement counts as well: near the origin it is the largest of the three.
+        if moved <= 4.0 * f64::EPSILON * (x.norm() + y.norm() + displacement.norm()) {
             return Ok(y);
         }
     }
@@ -286,4 +288,20 @@ pub fn follow(
         &mut None,
         |step| on_piece(&MeanFlowPiece { flow: &flow, step }),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slow_positions_near_the_origin_are_found() -> Result<(), DriftError> {
+        for k in 0..1000 {
+            let x = Vec2::new(1e-9 * f64::from(k), 0.0);
+            let a = |y: Vec2| Vec2::new(0.03, 0.02) + Vec2::new(y.y, -y.x) * 0.1;
+            let y = slow_position(x, |y| Ok(a(y)))?;
+            assert!((y + a(y) - x).norm() < 1e-16);
+        }
+        Ok(())
+    }
 }
