@@ -392,7 +392,12 @@ fn steps_are_limited_by_the_tide() {
             Ok(ControlFlow::Continue(()))
         });
         assert!(run.is_ok());
-        let limit = if matches!(model, Model::Full(_)) { 0.1 * PI } else { PI };
+        let tides = match model {
+            Model::Full(_) => 0.1,
+            Model::Paper { .. } => 1.0,
+            Model::MeanFlow { .. } => 2.0,
+        };
+        let limit = tides * PI;
         assert!((longest - limit).abs() < 1e-9, "{model:?}: {longest}");
     }
 }

@@ -18,6 +18,7 @@ from driftcore import _core
 from driftcore.dataset import (
     STATUSES,
     forecast_dataset,
+    is_geographic,
     provenance,
     read_netcdf,
     trajectory_dataset,
@@ -26,7 +27,6 @@ from driftcore.dataset import (
     write_netcdf,
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
-from driftcore.geographic import GeographicScenario
 from driftcore.maps import MapGrid
 from driftcore.record import WindRecord
 from driftcore.scenario import (
@@ -45,6 +45,7 @@ from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 if TYPE_CHECKING:
     import xarray as xr
 
+    from driftcore.geographic import GeographicScenario
     from driftcore.hand_over import HandOver
 
 Progress = Callable[[int, int], None]
@@ -114,7 +115,7 @@ def trajectory(
     DriftCoreError
         The integration failed.
     """
-    if isinstance(scenario, GeographicScenario):
+    if not isinstance(scenario, Scenario):
         from driftcore.geographic_forecast import geographic_trajectory
 
         _refuse_paper_options({"window": window, "euler_step": euler_step}, wind_terms)
@@ -188,7 +189,7 @@ def forecast(
         Number of members; default 1000, or as many as there are paths.
     model, order, window, wind_terms, rtol, atol
         As in `trajectory`; the default is the mean-flow expansion of order 1. It and `"full"` step
-        on a time grid common to all members, a tide and a tenth of one at most; a member whose
+        on a time grid common to all members, two tides and a tenth of one at most; a member whose
         error is estimated above the tolerance is followed by adaptive steps of its own.
     steps_per_tide : float, optional
         Of one length, whatever the estimated error, for these two models: to compare.
@@ -220,11 +221,9 @@ def forecast(
     ScenarioError
         An argument is not accepted: its name, value and what is accepted are in the message.
     """
-    if isinstance(scenario, GeographicScenario):
+    if not isinstance(scenario, Scenario):
         from driftcore.geographic_forecast import geographic_forecast
 
-        if wind is None:
-            raise ScenarioError("wind: is missing; the real sea needs a wind of its own")
         paper_only = {"window": window, "steps_per_tide": steps_per_tide}
         _refuse_paper_options(paper_only, wind_terms)
         return geographic_forecast(
@@ -582,12 +581,22 @@ def fitted_wind(wind: WindConfiguration, folder: Path | None = None) -> LocalGri
 def open_forecast(path: str | os.PathLike[str]) -> Forecast:
     """Read a forecast written by `Forecast.to_netcdf`.
 
+    Returns
+    -------
+    Forecast
+        A `GeographicForecast` where it is one.
+
     Raises
     ------
     OutputError
         The file is missing or is not a driftcore forecast.
     """
-    return Forecast(read_netcdf(Path(path)))
+    dataset = read_netcdf(Path(path))
+    if is_geographic(dataset):
+        from driftcore.geographic_forecast import GeographicForecast
+
+        return GeographicForecast(dataset)
+    return Forecast(dataset)
 
 
 def member_path(

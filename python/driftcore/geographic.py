@@ -163,7 +163,7 @@ class GeographicScenario:
     @property
     def end(self) -> np.datetime64:
         """End of the run, UTC."""
-        length = np.timedelta64(round(self.days * 86_400e9), "ns")
+        length = np.timedelta64(round(self.days * 86_400e6), "us")
         end: np.datetime64 = self.start + length
         return end
 
@@ -182,9 +182,9 @@ class GeographicScenario:
         return (np.asarray(times, dtype="datetime64[ns]") - self.origin) / _DAY
 
     def instants(self, days: Floats) -> NDArray[np.datetime64]:
-        """Give times so many days after the origin, UTC; NaT where NaN."""
-        nanoseconds = np.where(np.isnan(days), 0, np.round(days * 86_400e9)).astype(np.int64)
-        times = self.origin + nanoseconds.astype("timedelta64[ns]")
+        """Give times so many days after the origin, UTC, to the microsecond; NaT where NaN."""
+        microseconds = np.where(np.isnan(days), 0, np.round(days * 86_400e6)).astype(np.int64)
+        times = self.origin + microseconds.astype("timedelta64[us]")
         return np.where(np.isnan(days), np.datetime64("NaT", "ns"), times)
 
     @property

@@ -57,6 +57,7 @@ def geographic_trajectory(
     """Follow the first member under a given wind, whatever coast there is: see `trajectory`."""
     import xarray as xr
 
+    _require_geographic(scenario)
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     instants = _instants(scenario, times)
     wind: Any = (
@@ -122,6 +123,7 @@ def geographic_forecast(
     `times` days after the earliest release, and `interval` is in days. A target is a polygon of
     [longitude, latitude] points.
     """
+    _require_geographic(scenario)
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     if model == "mean-flow":
         scenario.warn()
@@ -301,6 +303,15 @@ class GeographicForecast(Forecast):
 
 _LONGITUDE = {"standard_name": "longitude", "units": "degrees_east", "axis": "X"}
 _LATITUDE = {"standard_name": "latitude", "units": "degrees_north", "axis": "Y"}
+# Name of the variable that says what they refer to, for programs that lay maps over others.
+_CRS = "crs"
+
+
+def _require_geographic(scenario: object) -> None:
+    if not isinstance(scenario, GeographicScenario):
+        raise ScenarioError(
+            f"scenario: {type(scenario).__name__} is not accepted; a Scenario or GeographicScenario"
+        )
 
 
 def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, Floats]:
@@ -368,13 +379,31 @@ def _geographic_maps(
     scenario: GeographicScenario, dataset: xr.Dataset, maps: MapGrid
 ) -> xr.Dataset:
     """Name the axes of maps by what they are."""
+    import pyproj
+
     x, y = np.array(maps.x), np.array(maps.y)
-    times = scenario.start + (np.array(maps.times) * 86_400e9).astype("timedelta64[ns]")
-    return dataset.rename({"x": "map_longitude", "y": "map_latitude"}).assign_coords(
-        map_longitude=("map_longitude", (x[1:] + x[:-1]) / 2, _LONGITUDE),
-        map_latitude=("map_latitude", (y[1:] + y[:-1]) / 2, _LATITUDE),
-        map_time=("map_time", times, {"standard_name": "time", "axis": "T"}),
-    )
+    times = scenario.instants(scenario.since_origin(scenario.start) + np.array(maps.times))
+    names = {
+        name + suffix: f"map_{axis}{suffix}"
+        for name, axis in (("x", "longitude"), ("y", "latitude"))
+        for suffix in ("", "_bounds")
+    }
+    dataset = dataset.rename(names)
+    for variable in dataset.data_vars.values():
+        if "map_longitude" in variable.dims:
+            variable.attrs["grid_mapping"] = _CRS
+    on_maps = ("map_longitude", x, _LONGITUDE), ("map_latitude", y, _LATITUDE)
+    coordinates: dict[str, Any] = {}
+    for name, edges, about in on_maps:
+        bounds = f"{name}_bounds"
+        coordinates[name] = (name, (edges[1:] + edges[:-1]) / 2, {**about, "bounds": bounds})
+        coordinates[bounds] = ((name, "bound"), np.stack([edges[:-1], edges[1:]], axis=1))
+    about = {"standard_name": "time", "axis": "T", "bounds": "map_time_bounds"}
+    before = np.append(scenario.start, times[:-1])
+    coordinates["map_time"] = ("map_time", times, about)
+    coordinates["map_time_bounds"] = (("map_time", "bound"), np.stack([before, times], axis=1))
+    system = pyproj.CRS(4326).to_cf()
+    return dataset.assign({_CRS: ((), np.int32(0), system)}).assign_coords(coordinates)
 
 
 def _dataset(

@@ -72,7 +72,9 @@ _GRAVITY = 9.81  # m/s²
 
 def _pytmd() -> ModuleType:
     try:
-        from pyTMD import constituents
+        # Its import turns off every UserWarning of the process, ours too.
+        with warnings.catch_warnings():
+            from pyTMD import constituents
     except ImportError as error:
         raise DriftCoreError(
             f'tides need {error.name}, which is not installed: pip install "driftcore[geo]"'

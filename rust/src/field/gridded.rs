@@ -26,8 +26,8 @@ pub struct Axis {
 pub(crate) struct Stencil {
     pub(crate) first: usize,
     pub(crate) value: [f64; 4],
-    slope: [f64; 4],
-    curvature: [f64; 4],
+    pub(crate) slope: [f64; 4],
+    pub(crate) curvature: [f64; 4],
 }
 
 impl Axis {

@@ -2,13 +2,14 @@
 
 use std::sync::Arc;
 
+use nalgebra::Matrix2;
 use rand_chacha::ChaCha8Rng;
 
 use super::path::{WindPath, require_cover};
 use super::{Sampling, SmallScale, Stream, Wind, stream};
 use crate::error::{DriftError, positive};
 use crate::field::Vec2;
-use crate::field::gridded::Axis;
+use crate::field::gridded::{Axis, Stencil};
 
 /// Wind patterns on a regular grid, interpolated by cubic B-splines.
 #[derive(Debug, Clone)]
@@ -43,14 +44,19 @@ impl WindPatterns {
         Ok(Self { x, y, count, coefficients })
     }
 
-    /// Sum of the patterns at `x`, each by its amplitude.
-    fn at(&self, x: Vec2, amplitude: impl Fn(usize) -> f64) -> Result<Vec2, DriftError> {
+    /// Sum of the patterns at `x`, each by its amplitude and the nodes by `weight` of the stencils
+    /// of x and y and the places in them.
+    fn sum(
+        &self,
+        x: Vec2,
+        amplitude: impl Fn(usize) -> f64,
+        mut add: impl FnMut(Vec2, [&Stencil; 2], [usize; 2]),
+    ) -> Result<(), DriftError> {
         if !self.x.contains(x.x) || !self.y.contains(x.y) {
             return Err(DriftError::OutsideDomain { x: x.x, y: x.y });
         }
         let (sx, sy) = (self.x.stencil(x.x), self.y.stencil(x.y));
         let (wx, wy) = (self.x.coefficients().min(4), self.y.coefficients().min(4));
-        let mut sum = Vec2::zeros();
         for pattern in 0..self.count {
             let amplitude = amplitude(pattern);
             // Of the hours of the mean day only two count at a time.
@@ -60,12 +66,12 @@ impl WindPatterns {
             for j in 0..wy {
                 let row = (sy.first + j) * self.x.coefficients() + sx.first;
                 for i in 0..wx {
-                    let weight = amplitude * sy.value[j] * sx.value[i];
-                    sum += self.coefficients[(row + i) * self.count + pattern] * weight;
+                    let node = self.coefficients[(row + i) * self.count + pattern];
+                    add(node * amplitude, [&sx, &sy], [i, j]);
                 }
             }
         }
-        Ok(sum)
+        Ok(())
     }
 }
 
@@ -164,16 +170,50 @@ pub struct FieldPath<'a> {
     knots: Vec<f64>,
 }
 
-impl Wind for FieldPath<'_> {
-    fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+impl FieldPath<'_> {
+    /// Amplitude of each pattern at time `t`.
+    fn amplitudes_at(&self, t: f64) -> impl Fn(usize) -> f64 {
         let FieldWinds { patterns, start, step, steps, .. } = self.winds;
         let place = ((t - start) / step).max(0.0);
         let before = (place as usize).min(steps - 2);
         let share = place - before as f64;
         let count = patterns.count;
         let (now, next) = self.amplitudes[before * count..(before + 2) * count].split_at(count);
-        let field = patterns.at(x, |k| now[k] + (next[k] - now[k]) * share)?;
-        Ok(field + self.small_scale.as_ref().map_or(Vec2::zeros(), |path| path.velocity(t)))
+        move |k| now[k] + (next[k] - now[k]) * share
+    }
+}
+
+impl Wind for FieldPath<'_> {
+    fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+        let mut wind = self.small_scale.as_ref().map_or(Vec2::zeros(), |path| path.velocity(t));
+        self.winds.patterns.sum(x, self.amplitudes_at(t), |node, [sx, sy], [i, j]| {
+            wind += node * (sx.value[i] * sy.value[j]);
+        })?;
+        Ok(wind)
+    }
+
+    fn derivatives(
+        &self,
+        t: f64,
+        x: Vec2,
+    ) -> Result<(Matrix2<f64>, [Matrix2<f64>; 2]), DriftError> {
+        let mut gradient = Matrix2::zeros();
+        let mut hessian = [Matrix2::zeros(); 2];
+        self.winds.patterns.sum(x, self.amplitudes_at(t), |node, [sx, sy], [i, j]| {
+            let slope = Vec2::new(sx.slope[i] * sy.value[j], sx.value[i] * sy.slope[j]);
+            gradient += node * slope.transpose();
+            let cross = sx.slope[i] * sy.slope[j];
+            let curvature = Matrix2::new(
+                sx.curvature[i] * sy.value[j],
+                cross,
+                cross,
+                sx.value[i] * sy.curvature[j],
+            );
+            for (hessian, node) in hessian.iter_mut().zip(&node) {
+                *hessian += curvature * *node;
+            }
+        })?;
+        Ok((gradient, hessian))
     }
 
     fn knots(&self) -> &[f64] {

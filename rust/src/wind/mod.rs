@@ -13,6 +13,7 @@ pub mod small_scale;
 
 use std::sync::Arc;
 
+use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -61,6 +62,10 @@ pub trait Wind: Sync {
     /// Wind at time `t`, position `x`; `OutsideDomain` beyond the data.
     fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError>;
 
+    /// Its Jacobian in space, and the second derivatives of each component.
+    fn derivatives(&self, t: f64, x: Vec2)
+    -> Result<(Matrix2<f64>, [Matrix2<f64>; 2]), DriftError>;
+
     /// Times where it is not smooth.
     fn knots(&self) -> &[f64];
 
@@ -71,6 +76,14 @@ pub trait Wind: Sync {
 impl Wind for WindPath {
     fn at(&self, t: f64, _: Vec2) -> Result<Vec2, DriftError> {
         Ok(self.velocity(t))
+    }
+
+    fn derivatives(
+        &self,
+        _: f64,
+        _: Vec2,
+    ) -> Result<(Matrix2<f64>, [Matrix2<f64>; 2]), DriftError> {
+        Ok((Matrix2::zeros(), [Matrix2::zeros(); 2]))
     }
 
     fn knots(&self) -> &[f64] {
@@ -85,6 +98,14 @@ impl Wind for WindPath {
 impl<W: Wind> Wind for &W {
     fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
         (**self).at(t, x)
+    }
+
+    fn derivatives(
+        &self,
+        t: f64,
+        x: Vec2,
+    ) -> Result<(Matrix2<f64>, [Matrix2<f64>; 2]), DriftError> {
+        (**self).derivatives(t, x)
     }
 
     fn knots(&self) -> &[f64] {
