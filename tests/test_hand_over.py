@@ -141,6 +141,29 @@ def test_mean_and_errors_by_lead() -> None:
     assert (np.abs(wind.std(axis=0) / sd - 1) < 4.5 / np.sqrt(2 * MEMBERS)).all()
 
 
+@pytest.mark.parametrize(("step_h", "order"), [(6, 1), (3, 3)])
+def test_mean_follows_the_season_across_the_year(step_h: int, order: int) -> None:
+    """A climate of all months, and a forecast that knows nothing, from 29 December on."""
+    times = pd.date_range("2001-01-01", "2003-12-31T23:00", freq=f"{step_h}h")
+    noise = np.random.default_rng(1).normal(size=(len(times), 2)) * [2, 3]
+    angle = 2 * np.pi * (times.day_of_year.to_numpy() + times.hour.to_numpy() / 24 - 1) / 365.25
+    season = np.column_stack([3 + 4 * np.cos(angle), -5 * np.sin(angle)])
+    record = pd.DataFrame(season + noise, columns=["u10", "v10"], index=times.rename("time"))
+    year = dc.LocalGridBootstrap.fit(record, months=None, h=0.5, order=order)
+    start = np.datetime64("2026-12-29T15:00", "s")
+    over = dc.HandOver(gale(8, start=start), year, skill=0)
+    when, wind = over.sample(MEMBERS, 8 * 24 // step_h - 3, seed=1)
+    assert when[0] == np.datetime64("2026-12-29T15:00" if step_h == 3 else "2026-12-29T18:00")
+    days = (when - np.datetime64("2026-01-01", "s")) / np.timedelta64(1, "D")
+    expected = np.column_stack(
+        [3 + 4 * np.cos(2 * np.pi * days / 365), -5 * np.sin(2 * np.pi * days / 365)]
+    )
+    # The mean day of three years of white noise is known to 0.09; 4,000 members' mean to 0.05.
+    assert np.abs(wind.mean(axis=0) - expected).max() < 0.5
+    sd = wind.std(axis=0)
+    np.testing.assert_allclose(sd, np.broadcast_to([2, 3], sd.shape), rtol=0.08)
+
+
 def test_law_does_not_jump_at_the_horizon() -> None:
     """Of forecasts with the climate's law, W keeps that law, also where r of 0.5 is left."""
     forecasts = drawn(MEMBERS, 21, seed=5)

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_configuration import GeographicConfiguration
     from driftcore.geographic_forecast import GeographicForecast
+    from driftcore.hand_over import HandOver
 
 Progress = Callable[[int, int], None]
 Floats = NDArray[np.float64]
@@ -155,7 +156,7 @@ def trajectory(
 
 def forecast(
     scenario: Scenario | GeographicScenario,
-    wind: LocalGridBootstrap | Sequence[WindPath] | WindPaths | None = None,
+    wind: LocalGridBootstrap | HandOver | Sequence[WindPath] | WindPaths | None = None,
     *,
     members: int | None = None,
     model: ModelName = "mean-flow",
@@ -185,7 +186,7 @@ def forecast(
         The body, its release, the sea and the coast.
     wind : LocalGridBootstrap, sequence of WindPath, or WindPaths, optional
         The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate. Or the
-        winds themselves, one member each.
+        winds themselves, one member each. On the real sea also a `HandOver` from today's forecast.
     members : int, optional
         Number of members; default 1000, or as many as there are paths.
     model, order, window, wind_terms, rtol, atol
@@ -254,10 +255,13 @@ def forecast(
         winds = Resampled(scenario, wind, solver, seed)
         members = 1000 if members is None else members
     else:
-        winds = _Given(scenario, wind, solver)
-        if members not in (None, len(wind)):
-            raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
-        members = len(wind)
+        paths: Any = wind  # anything else is refused by its name
+        winds = _Given(scenario, paths, solver)
+        if members not in (None, len(paths)):
+            raise ScenarioError(
+                f"members: {members} is not accepted; {len(paths)} paths were given"
+            )
+        members = len(paths)
     if steps_per_tide is not None and not (
         isinstance(steps_per_tide, int | float | np.number)
         and math.isfinite(steps_per_tide)
