@@ -106,8 +106,6 @@ def presence_map(
     the counts, smoothed by (1, 2, 1)/4 twice each way, are densest, until the counts themselves
     add up. Where too many are beyond the map a contour is left out.
     """
-    from matplotlib.colors import LogNorm
-
     dataset = _dataset(forecast)
     _need(dataset, "presence", "map_longitude_bounds", "map_latitude_bounds")
     instant = _map_time(dataset, time)
@@ -120,6 +118,8 @@ def presence_map(
     density = np.ma.masked_equal(presence * per_area, 0.0)
 
     axes = _map_axes(ax, (x[0], x[-1], y[0], y[-1]), _COLOUR_BAR)
+    from matplotlib.colors import LogNorm
+
     least = float(per_area.min()) / followed
     greatest = float(density.max()) if density.count() else least
     mesh = axes.pcolormesh(
@@ -185,8 +185,6 @@ def stranding_coast(
         The coast has no stretches, or they are areas: see `stranding_bars`.
     """
     import shapely
-    from matplotlib.collections import LineCollection
-    from matplotlib.colors import LogNorm
 
     dataset = _dataset(forecast)
     stretches = _stretches(coast)
@@ -207,6 +205,9 @@ def stranding_coast(
         west, east, south, north = (inner(a, b) for a, b, inner in ends)
         box = west, east, south, north
     axes = _map_axes(ax, box, _COLOUR_BAR)
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import LogNorm
+
     _, followed = _count_stranded(dataset)
     least = 100 / followed
     drawn = LineCollection(
@@ -382,10 +383,10 @@ def arrival_curve(
     The band is Wilson's 95 % interval at each time, not one for the whole curve: what so many
     members leave unsure, not what is unsure about winds, currents and the thing itself.
     """
-    from matplotlib.dates import AutoDateLocator, DateFormatter, date2num
-
     dataset = _dataset(forecast)
     axes = _figure(_TIMES).subplots() if ax is None else ax
+    from matplotlib.dates import AutoDateLocator, DateFormatter, date2num
+
     earlier = len(axes.lines)
     _, total = _count_stranded(dataset)
     times = dataset["stranding_time"].values
