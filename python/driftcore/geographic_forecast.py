@@ -57,7 +57,7 @@ def geographic_trajectory(
     """Follow the first member under a given wind, whatever coast there is: see `trajectory`."""
     import xarray as xr
 
-    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    order, solver = _solver(scenario, model, order, rtol, atol)
     instants = _instants(scenario, times)
     fleet, _, _ = scenario.core_fleet(scenario.core_sea(), None, 0, 1, seed)
     try:
@@ -117,7 +117,7 @@ def geographic_forecast(
     `times` days after the earliest release, and `interval` is in days. A target is a polygon of
     [longitude, latitude] points.
     """
-    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    order, solver = _solver(scenario, model, order, rtol, atol)
     if model == "mean-flow":
         scenario.warn()
     seed = checked_count("seed", seed, least=0)
@@ -128,7 +128,7 @@ def geographic_forecast(
         resampled.warn()
         winds: Any = resampled.core
         attributes = resampled.attributes()
-    elif isinstance(wind, Sequence) and all(isinstance(path, WindPath) for path in wind):
+    elif isinstance(wind, Sequence) and wind and all(isinstance(p, WindPath) for p in wind):
         if members not in (None, len(wind)):
             raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
         members = len(wind)
@@ -137,7 +137,7 @@ def geographic_forecast(
     else:
         raise ScenarioError(
             f"wind: {type(wind).__name__} is not accepted; a fitted LocalGridBootstrap, or a list "
-            "of WindPath with datetime64 times"
+            "of at least one WindPath with datetime64 times"
         )
     keep = min(checked_count("keep", keep, least=0), members)
     threads = checked_count("threads", default_threads() if threads is None else threads)
@@ -222,7 +222,7 @@ class GeographicForecast(Forecast):
         return self._counted(self.dataset[name].values, by)
 
     def _counted(self, times: Times, by: Any) -> Probability:
-        limit = np.datetime64("2262-01-01", "ns") if by is None else np.datetime64(by, "ns")
+        limit = np.datetime64("2262-01-01", "ns") if by is None else _utc("by", by)[0]
         # NaT is not before anything.
         return probability(int((times <= limit).sum()), self.followed)
 
@@ -292,12 +292,15 @@ class GeographicForecast(Forecast):
         """Places of stranding relative to the middle of the releases, in local degrees of arc."""
         dataset = self.dataset
         longitude = dataset["stranding_longitude"].values - dataset["release_longitude"].values
+        longitude -= 360 * np.round(longitude / 360)
         latitude = dataset["stranding_latitude"].values - dataset["release_latitude"].values
         shrink = np.cos(np.radians(dataset["release_latitude"].values))
         return np.column_stack([longitude * shrink, latitude])[self.stranded]
 
 
 _LONGITUDE = {"standard_name": "longitude", "units": "degrees_east", "axis": "X"}
+_MAP_AXES = {"x": "map_longitude", "y": "map_latitude"}
+_PARTS = ("", "_bounds")
 _LATITUDE = {"standard_name": "latitude", "units": "degrees_north", "axis": "Y"}
 
 
@@ -307,14 +310,41 @@ def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, F
     return (longitude + 180) % 360 - 180, latitude
 
 
+def _solver(
+    scenario: GeographicScenario,
+    model: ModelName,
+    order: int | None,
+    rtol: float,
+    atol: float | None,
+) -> tuple[int | None, _core.Solver]:
+    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    if model == "paper" or order == 2:
+        raise ScenarioError(
+            f"model: {model!r} of order {order} is not accepted; on a geographic scenario it is "
+            '"full", or "mean-flow" of order 1'
+        )
+    return order, solver
+
+
+def _utc(name: str, times: Any) -> Times:
+    """Give times as UTC without a zone, shape (n,); what names no zone is UTC."""
+    import pandas as pd
+
+    values = np.atleast_1d(times)
+    try:
+        if values.ndim != 1 or not len(values) or values.dtype.kind not in "MOU":
+            raise ValueError
+        instants = pd.to_datetime(values, utc=True, format="ISO8601").tz_localize(None)
+    except (TypeError, ValueError):
+        raise ScenarioError(f"{name}: must be UTC times, datetime64") from None
+    if instants.isna().any():
+        raise ScenarioError(f"{name}: must be UTC times, datetime64")
+    return np.asarray(instants.to_numpy("datetime64[ns]"))
+
+
 def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
     """Give UTC times as days since the origin."""
-    try:
-        instants = np.atleast_1d(np.asarray(times, dtype="datetime64[ns]"))
-    except (TypeError, ValueError):
-        raise ScenarioError("times: must be UTC times, datetime64") from None
-    if instants.ndim != 1 or not len(instants) or np.isnat(instants).any():
-        raise ScenarioError("times: must be UTC times, datetime64")
+    instants = _utc("times", times)
     if (np.diff(instants) < np.timedelta64(0, "ns")).any():
         raise ScenarioError("times: must increase")
     if instants[0] < scenario.start or instants[-1] > scenario.end:
@@ -331,6 +361,11 @@ def _core_path(scenario: GeographicScenario, path: WindPath) -> _core.WindPath:
         raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
     if path.instants is None:
         raise ScenarioError("path: its times are numbers; a geographic scenario needs datetime64")
+    first, last = path.instants[[0, -1]]
+    if first > scenario.start or last < scenario.end:
+        raise ScenarioError(
+            f"path: it covers {first} to {last}; the run needs {scenario.start} to {scenario.end}"
+        )
     return _core.WindPath(scenario.since_origin(path.instants), path.velocity)
 
 
@@ -399,10 +434,22 @@ def _geographic_maps(
     """Name the axes of maps by what they are."""
     x, y = np.array(maps.x), np.array(maps.y)
     times = scenario.start + (np.array(maps.times) * 86_400e9).astype("timedelta64[ns]")
-    return dataset.rename({"x": "map_longitude", "y": "map_latitude"}).assign_coords(
-        map_longitude=("map_longitude", (x[1:] + x[:-1]) / 2, _LONGITUDE),
-        map_latitude=("map_latitude", (y[1:] + y[:-1]) / 2, _LATITUDE),
-        map_time=("map_time", times, {"standard_name": "time", "axis": "T"}),
+    names = {f"{old}{part}": f"{new}{part}" for old, new in _MAP_AXES.items() for part in _PARTS}
+    until = np.stack([np.append(scenario.start, times[:-1]), times], axis=1)
+
+    def coordinate(name: str, values: Any, attributes: dict[str, str]) -> Any:
+        return name, values, attributes | {"bounds": f"{name}_bounds"}
+
+    def sides(edges: Floats) -> Floats:
+        return np.stack([edges[:-1], edges[1:]], axis=1)
+
+    return dataset.rename(names).assign_coords(
+        map_longitude=coordinate("map_longitude", (x[1:] + x[:-1]) / 2, _LONGITUDE),
+        map_latitude=coordinate("map_latitude", (y[1:] + y[:-1]) / 2, _LATITUDE),
+        map_time=coordinate("map_time", times, {"standard_name": "time", "axis": "T"}),
+        map_longitude_bounds=(("map_longitude", "bound"), sides(x)),
+        map_latitude_bounds=(("map_latitude", "bound"), sides(y)),
+        map_time_bounds=(("map_time", "bound"), until),
     )
 
 
