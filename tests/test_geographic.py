@@ -119,7 +119,9 @@ def at_longitude(middle: float, model: Model) -> dc.GeographicForecast:
     )
     scenario = dc.GeographicScenario(
         releases, 6, LIGHT,
-        tides=dc.tides.kelvin_wave(around(middle, 4), around(20, 4) - 20, depth=50, origin=(middle + 5, 20)),
+        tides=dc.tides.kelvin_wave(
+            around(middle, 4), around(0, 4), depth=50, origin=(middle + 5, 20)
+        ),
         current=current(around(middle, 4), around(0, 4), 0.15, 0.0),
         coast=dc.LandCoast.from_geometries(island),
     )  # fmt: skip
@@ -360,7 +362,7 @@ def test_a_current_must_cover_the_run_and_no_more() -> None:
 
     assert scenario(RELEASED).end == START + 5 * DAY
     for first in ("2026-07-01T07:00", "2026-07-01T05:00"):
-        with pytest.raises(ScenarioError, match="current: it covers .* give current.mean"):
+        with pytest.raises(ScenarioError, match=r"current: it covers .* give current\.mean"):
             scenario(first)
     uncertain = dc.Release.point(0, 0, RELEASED, time_error_h=1)
     with pytest.raises(ScenarioError, match="the run needs 2026-07-01T00:00"):
