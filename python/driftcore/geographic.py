@@ -130,9 +130,10 @@ class GeographicScenario:
         if self.current is not None and len(self.current.times) > 1:
             first, last = self.current.times[[0, -1]]
             if first > self.origin or last < self.end:
+                shown = np.datetime_as_string([first, last, self.origin, self.end], unit="m")
                 raise ScenarioError(
-                    f"current: it covers {first} to {last}; the run needs {self.origin} to "
-                    f"{self.end}; give current.mean() (in TOML: mean = true) to use its mean"
+                    f"current: it covers {shown[0]} to {shown[1]}; the run needs {shown[2]} to "
+                    f"{shown[3]}; give current.mean() (in TOML: mean = true) to use its mean"
                 )
 
     @cached_property
