@@ -242,6 +242,16 @@ def test_own_case_from_an_empty_folder(driftcore: Command) -> None:
     assert sum(shares) == pytest.approx(told["stranding_probability"])
 
 
+def test_a_forecast_outlives_its_coast(
+    driftcore: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    forecast = dc.run(dc.GeographicConfiguration.from_toml(own_case(driftcore)))
+    assert len(cli._result(forecast)["stretches"]) > 1
+    Path("land.json").unlink()
+    assert cli._result(forecast)["stretches"] == []
+    assert "warning: no stretches of the coast: coast.file:" in capsys.readouterr().err
+
+
 def test_check_estimates_the_cost(driftcore: Command) -> None:
     scenario = own_case(driftcore)
     few = json.loads(driftcore("check", scenario, "--json", "--threads", 1).out)
