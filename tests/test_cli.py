@@ -173,9 +173,13 @@ def test_forecast_of_failed_members_is_told(driftcore: Command) -> None:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ([], ["demo", "run", "plot", "validate"]),
+        ([], ["demo", "new", "check", "run", "objects", "info", "plot", "validate"]),
         (["demo"], ["--members", "--seed", "--print-scenario", "--output"]),
         (["run"], ["SCENARIO", "--output", "--json", "--quiet", "--overwrite", "--threads"]),
+        (["new"], ["FILE", "--release", "LON LAT TIME", "--paper", "--object", "--wind"]),
+        (["check"], ["SCENARIO", "--threads", "--json"]),
+        (["objects"], ["WORD"]),
+        (["info"], ["FORECAST", "--json"]),
         (["plot"], ["FORECAST", "--output"]),
         (["validate"], ["--output", "--record", "--months", "Exit code 1"]),
     ],
@@ -190,6 +194,191 @@ def test_help_fits_eighty_columns(driftcore: Command, command: list[str], words:
 
 def test_version(driftcore: Command) -> None:
     assert driftcore("--version") == (0, f"driftcore {dc.__version__}\n", "")
+
+
+# The real sea
+
+LAND = (
+    '{"type": "Polygon", "coordinates": [[[-3.9, 46], [-3, 46], [-3, 48], [-3.9, 48], [-3.9, 46]]]}'
+)
+NEW = [
+    *("new", "my.toml", "--release", "-4.1", "47.2", "2026-07-01T06:00", "--days", "20"),
+    *("--object", "CONTAINER-2", "--tides", "biscay", "--wind", "wind.csv", "--coast", "land.json"),
+]
+
+
+def own_case(driftcore: Command) -> Path:
+    """Scenario of a container off a coast of one's own, of few members."""
+    RECORD.to_csv("wind.csv")
+    write(LAND, "land.json")
+    assert driftcore(*NEW) == (0, "wrote my.toml\n", "")
+    text = Path("my.toml").read_text(encoding="utf-8").replace("members = 1000", "members = 60")
+    divided = text.replace("# divide_km =", "divide_km = 50").replace("# h =", "h = 0.3")
+    return write(divided, "my.toml")
+
+
+def test_own_case_from_an_empty_folder(driftcore: Command) -> None:
+    scenario = own_case(driftcore)
+    with unchanged():
+        checked = driftcore("check", scenario)
+    assert checked.code == 0
+    words = ("47.2000 N 4.1000 W", "leeway of CONTAINER-2", "M2 0.24 m/s", "land.json: 1 polygons")
+    assert all(word in checked.out for word in (*words, "epsilon 0.026", "cost", "60 members"))
+    assert max(map(len, checked.out.splitlines())) <= 80
+    assert checked.err.count("\n") == 1
+    assert checked.err.startswith("warning: tides: the idealised ones")
+
+    run = driftcore("run", scenario, "-o", "out.nc")
+    assert (run.code, run.err) == (0, "")
+    assert all(word in run.out for word in ("strands", "stretches", "coast 10, about", "20.0 days"))
+    assert run.out.endswith("wrote out.nc\n")
+    assert names() == {"wind.csv", "land.json", "my.toml", "out.nc"}
+    told = json.loads(driftcore("run", scenario, "-o", "again.nc", "--json").out)
+    assert sum(told[status] for status in ("afloat", "stranded", "left_domain", "failed")) == 60
+    assert told["stranded"] > 0
+    assert told["days_per_unit_of_time"] == 1
+    shares = [stretch["probability"] for stretch in told["stretches"]]
+    assert shares == sorted(shares, reverse=True)
+    assert sum(shares) == pytest.approx(told["stranding_probability"])
+
+
+def test_a_forecast_outlives_its_coast(
+    driftcore: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    forecast = dc.run(dc.GeographicConfiguration.from_toml(own_case(driftcore)))
+    assert len(cli._result(forecast)["stretches"]) > 1
+    Path("land.json").unlink()
+    assert cli._result(forecast)["stretches"] == []
+    assert "warning: no stretches of the coast: coast.file:" in capsys.readouterr().err
+
+
+def test_check_estimates_the_cost(driftcore: Command) -> None:
+    scenario = own_case(driftcore)
+    few = json.loads(driftcore("check", scenario, "--json", "--threads", 1).out)
+    assert few["warnings"] == [
+        "tides: the idealised ones of the Bay of Biscay are there to try, no atlas"
+    ]
+    assert few["attributes"]["scaling_tide"] == pytest.approx(0.376, abs=1e-3)
+    assert few["estimate"]["threads"] == 1
+    many = scenario.read_text(encoding="utf-8").replace("members = 60", "members = 60000000")
+    estimate = json.loads(driftcore("check", write(many), "--json").out)["estimate"]
+    # Of each member: its status, two positions and two times.
+    assert estimate["megabytes"] == pytest.approx(60 * 57, rel=0.2)
+    assert estimate["seconds"] > 1000 * few["estimate"]["seconds"]
+
+
+def test_check_of_the_paper_and_of_a_wind_out_of_season(driftcore: Command) -> None:
+    paper = driftcore("check", write(SMALL))
+    assert (paper.code, paper.err) == (0, "")
+    assert all(word in paper.out for word in ("epsilon 0.02", "3 members", "seed 1"))
+    assert driftcore("check", "scenario.toml", "--quiet") == (0, "", "")
+    driftcore("new", "my.toml", "--release", "-4.1", "47.2", "2026-11-01", "--tides", "biscay")
+    told = driftcore("check", "my.toml").err.splitlines()
+    assert all(line.startswith("warning: ") for line in told)
+    assert "the run starts in month 11" in told[0]
+    assert "synthetic climate" in told[1]
+
+
+def test_new_without_options_runs_as_it_is(driftcore: Command) -> None:
+    driftcore("new", "my.toml")
+    text = Path("my.toml").read_text(encoding="utf-8")
+    write(text.replace("days = 60.0", "days = 10").replace("members = 1000", "members = 2"))
+    assert driftcore("run", "scenario.toml", "-o", "out.nc", "--quiet").code == 0
+    driftcore("new", "paper.toml", "--paper")
+    assert Path("paper.toml").read_text(encoding="utf-8") == dc.RunConfiguration().to_toml()
+    with unchanged():
+        refused(driftcore("new", "my.toml"), "my.toml: exists", "--overwrite")
+        refused(driftcore("new", "b.toml", "--paper", "--wind", "w.csv"), "--wind: 'w.csv'")
+        refused(driftcore("new", "b.toml", "--paper", "--days", "5"), "--days: 5")
+        refused(driftcore("new", "b.toml", "--object", "RAFT"), "object.category: 'RAFT'", "mean")
+        release = ("--release", "-4.1", "47.2", "noon")
+        refused(driftcore("new", "b.toml", *release), "release.start: 'noon' is not accepted")
+        refused(driftcore("new", "no/b.toml"), "no/b.toml: folder no does not exist")
+
+
+def test_objects_lists_what_holds_a_word(driftcore: Command) -> None:
+    everything, containers = driftcore("objects"), driftcore("objects", "Container")
+    assert everything.code == containers.code == 0
+    assert max(map(len, everything.out.splitlines())) <= 80
+    assert all(key in everything.out for key in dc.objects.categories().index)
+    assert "CONTAINER-2 │ 20-foot container, 80 % under water" in containers.out
+    assert "PIW-1" not in containers.out
+    refused(driftcore("objects", "unicorn"), "'unicorn' is in no category")
+
+
+# What is wrong with a scenario of the real sea, put into a file that is right.
+WRONG = {
+    "no wind": ("wind.csv", "mywind.csv", "wind.record: 'mywind.csv'", "no such file"),
+    "no coast": ("land.json", "coast.shp", "coast.file: 'coast.shp'", "no such file"),
+    "a typing error in a key": ("days =", "dyas =", "dyas: unknown key", "did you mean 'days'"),
+    "no such time": ("2026-07-01T06:00:00", '"1 July"', "release.start: '1 July'", "ISO 8601"),
+    "longitude and latitude exchanged": ("[-4.1, 47.2]", "[47.2, -4.1]", "lies outside the data"),
+    "on land": ("[-4.1, 47.2]", "[-3.5, 47.2]", "lies on land", "from the sea toward W"),
+    "a wind in the place of a tide": ('kind = "biscay"', 'files = "wind.csv"', "[tides]", "NetCDF"),
+    "no such model": ('"mean-flow"', '"meanflow"', "ensemble.model: 'meanflow'", "'full'"),
+    "months without wind": ("[7]", "[1]", "months: (1,) leaves no row"),
+    "not TOML": ("[wind]", "[wind", "my.toml: not valid TOML", "line"),
+    "the kind left out": ('kind = "geographic"', "", 'kind: is missing; put kind = "geographic"'),
+    "a number as text": ("days = 20.0", 'days = "20"', "days: '20' is not accepted", "number"),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_refused_scenarios_of_the_real_sea(driftcore: Command, fault: str) -> None:
+    right, wrong, *words = WRONG[fault]
+    text = own_case(driftcore).read_text(encoding="utf-8")
+    assert right in text
+    write(text.replace(right, wrong), "my.toml")
+    with unchanged():
+        refused(driftcore("run", "my.toml", "-o", "out.nc"), *words)
+        refused(driftcore("check", "my.toml"), *words)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the guide speaks to a Unix shell")
+def test_the_guide_runs_from_an_empty_folder(tmp_path: Path) -> None:
+    """Its own commands, with few members and a bandwidth that need not be searched."""
+    guide = Path(__file__).parents[1] / "docs/guide/first_forecast.md"
+    text = guide.read_text(encoding="utf-8")
+    faster = "sed -i -e 's/members = 1000/members = 20/' -e 's/^# h =/h = 0.3/' my.toml\n"
+    parts = [text.split(f"<!-- {name} -->\n```bash\n")[1] for name in ("own", "new", "edit", "run")]
+    own, new, edit, run = (part.split("```\n")[0] for part in parts)
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    subprocess.run(  # noqa: S603 (our own guide)
+        ["bash", "-euo", "pipefail", "-c", own + new + edit + faster + run],  # noqa: S607
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        check=True,
+        capture_output=True,
+    )
+    told = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert told["afloat"] + told["stranded"] == 20
+    assert {stretch["stretch"].split()[0] for stretch in told["stretches"]} <= {
+        "mainland",
+        "island",
+    }
+    assert 'name_column = "name"' in (tmp_path / "my.toml").read_text(encoding="utf-8")
+
+
+def test_info_says_what_is_in_a_forecast(driftcore: Command) -> None:
+    driftcore("run", write(SMALL), "-o", "paper.nc", "-q")
+    shown = driftcore("info", "paper.nc")
+    assert (shown.code, shown.err) == (0, "")
+    assert all(word in shown.out for word in ("epsilon 0.02", "3 members", "written", "strands"))
+    told = json.loads(driftcore("info", "paper.nc", "--json").out)
+    assert told["stranded"] + told["afloat"] == 3
+    assert told["attributes"]["epsilon"] == 0.02
+    refused(driftcore("info", "scenario.toml"), "scenario.toml: cannot be read as NetCDF-4")
+
+    driftcore("run", own_case(driftcore), "-o", "sea.nc", "-q")
+    try:
+        opened = dc.open_forecast("sea.nc")
+    except OutputError:
+        pytest.skip("open_forecast does not read forecasts on the real sea yet")
+    shown = driftcore("info", "sea.nc")
+    assert (shown.code, shown.err) == (0, "")
+    assert all(word in shown.out for word in ("CONTAINER-2", "stretches", "47.2000 N 4.1000 W"))
+    told = json.loads(driftcore("info", "sea.nc", "--json").out)
+    assert told["stranding_probability"] == opened.stranding_probability().estimate
 
 
 # Refusals
@@ -208,6 +397,10 @@ def test_version(driftcore: Command) -> None:
         ["demo", "--members", "many"],
         ["demo", "--seed"],
         ["plot"],
+        ["info"],
+        ["check"],
+        ["new"],
+        ["new", "my.toml", "--release", "-4.1", "47.2"],
         ["validate", "--bogus"],
     ],
 )

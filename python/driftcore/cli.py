@@ -173,6 +173,9 @@ def run(
 def check(
     scenario: ScenarioFile,
     threads: Threads = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Warnings alone: the exit code tells.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Check a scenario file, say what it sets up, and estimate what the run costs.
@@ -186,7 +189,7 @@ def check(
         warnings.simplefilter("always", DriftCoreWarning)
         configuration = read_configuration(scenario)
         wanted = configuration.ensemble
-        with err.status("reading, and fitting the wind"):
+        with err.status("reading, fitting the wind, following a few members"):
             start = perf_counter()
             follow = planned(configuration, scenario.parent.resolve())
             times, sizes, numbers = [], [], (min(_FEW, wanted.members), min(_MORE, wanted.members))
@@ -206,13 +209,14 @@ def check(
     each, size = max(0.0, more - few) / between, (sizes[1] - sizes[0]) / between
     rest = wanted.members - numbers[1]
     seconds = reading + more + each * rest
+    megabytes = (sizes[1] + size * rest) / 1e6
     estimate = {
         "members": wanted.members,
         "threads": threads or default_threads(),
         "preparation_s": reading + max(0.0, few - each * numbers[0]),
         "seconds": seconds,
         "members_per_second": 1 / each if each else None,
-        "megabytes": (sizes[1] + size * rest) / 1e6,
+        "megabytes": megabytes,
     }
     if as_json:
         about = {"attributes": _attributes(forecast), "estimate": estimate, "warnings": told}
@@ -222,9 +226,10 @@ def check(
     table.add_row(
         "cost",
         f"{wanted.members} members: about {_duration(seconds)} on "
-        f"{estimate['threads']} threads, {estimate['megabytes']:.0f} MB",
+        f"{estimate['threads']} threads, {max(1, round(megabytes))} MB",
     )
-    out.print(table)
+    if not quiet:
+        out.print(table)
     for message in told:
         _say("yellow", "warning", message)
 
@@ -242,7 +247,7 @@ def new(
             help="Degrees east, degrees north, UTC; e.g. -4.1 47.2 2026-07-01T06:00",
         ),
     ] = None,
-    days: Annotated[float, typer.Option(help="Length of the run.")] = 60.0,
+    days: Annotated[float | None, typer.Option(help="Length of the run; default 60.")] = None,
     drifter: Annotated[
         str | None,
         typer.Option("--object", metavar="KEY", help="Search object; see `driftcore objects`."),
@@ -268,14 +273,20 @@ def new(
     configuration: RunConfiguration | GeographicConfiguration
     if geographic:
         configuration = GeographicConfiguration.example(
-            release, days, drifter, wind=wind, tides=tides, current=current, coast=coast
+            release,
+            60.0 if days is None else days,
+            drifter,
+            wind=wind,
+            tides=tides,
+            current=current,
+            coast=coast,
         )
     else:
-        given = {"release": release, "object": drifter, "wind": wind, "tides": tides}
-        given |= {"current": current, "coast": coast}
+        given = {"release": release, "days": days, "object": drifter, "wind": wind}
+        given |= {"tides": tides, "current": current, "coast": coast}
         for name, value in given.items():
             if value is not None:
-                raise ScenarioError(f"--{name}: is not accepted with --paper; edit the file")
+                raise ScenarioError(f"--{name}: {value!r} is not accepted with --paper")
         configuration = RunConfiguration()
     with replacing(file, overwrite) as temporary:
         temporary.write_text(configuration.to_toml(), encoding="utf-8")
@@ -464,7 +475,12 @@ def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     text = forecast.configuration()
     if "kind" not in read_toml(text):  # made in Python
         return []
-    coast = GeographicConfiguration.from_toml(text).stretches()
+    try:
+        coast = GeographicConfiguration.from_toml(text).stretches()
+    except DriftCoreError as error:
+        # The forecast outlives the files it was made from.
+        _say("yellow", "warning", f"no stretches of the coast: {error}")
+        return []
     if coast is None:
         return []
     found = forecast.stranding_by_stretch(coast)

@@ -241,7 +241,8 @@ def _sentences(model: type[BaseModel], error: ValidationError) -> Iterator[str]:
         cause = context.get("error")
         if isinstance(cause, ScenarioError):
             # An inner configuration has told its own sentences; put the path before them.
-            yield from (f"{where}.{sentence}" for sentence in str(cause).split(_SEPARATOR))
+            path = f"{where}." if where else ""
+            yield from (path + sentence for sentence in str(cause).split(_SEPARATOR))
         elif cause is not None:
             yield f"{where}: {cause}" if where else str(cause)
         elif kind == "missing":

@@ -133,9 +133,10 @@ class GeographicScenario:
             uncertain = any(release.time_error_h > 0 for release in self._releases)
             needed = self.origin if uncertain else self.start
             if first > needed or last < self.end:
+                shown = np.datetime_as_string([first, last, needed, self.end], unit="m")
                 raise ScenarioError(
-                    f"current: it covers {first} to {last}; the run needs {needed} to "
-                    f"{self.end}; give current.mean() (in TOML: mean = true) to use its mean"
+                    f"current: it covers {shown[0]} to {shown[1]}; the run needs {shown[2]} to "
+                    f"{shown[3]}; give current.mean() (in TOML: mean = true) to use its mean"
                 )
 
     @cached_property

@@ -594,7 +594,8 @@ def _opened(
             try:
                 dataset = stack.enter_context(xr.open_dataset(path, decode_times=False))
             except (OSError, ValueError) as error:
-                raise RecordError(f"{path}: cannot be read as NetCDF: {error}") from error
+                reason = str(error).splitlines()[0]
+                raise RecordError(f"{path}: cannot be read as NetCDF: {reason}") from error
             yield str(path), name or (told.pop() if len(told) == 1 else None), dataset
 
 
