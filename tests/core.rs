@@ -537,7 +537,8 @@ fn side_by_side_as_alone() {
             for (one, other) in alone.iter().zip(&abreast) {
                 assert_eq!(one.status, other.status, "{model:?}");
                 for (x, y) in one.positions.iter().zip(&other.positions) {
-                    assert!((x - y).norm() < 1e-6, "{model:?}: {}", (x - y).norm());
+                    // Below the tolerance of the steps side by side.
+                    assert!((x - y).norm() < 5e-6, "{model:?}: {}", (x - y).norm());
                 }
                 if let (Some((t, x)), Some((s, y))) = (one.stranding, other.stranding) {
                     assert!((t - s).abs() < 1e-4 && (x - y).norm() < 1e-4, "{model:?}: {t} {s}");
@@ -653,7 +654,7 @@ fn steps_of_one_length_are_right() {
                 }
                 // Where the longest of them meet the tolerance, these are the steps: nobody goes alone.
                 let (loose, longest) =
-                    (solver(model, 1e-3), if model == FULL { 10.0 } else { 1.0 });
+                    (solver(model, 1e-3), if model == FULL { 10.0 } else { 0.5 });
                 let run = |steps| follow(&scenario, &winds, &loose, steps, outputs, 0..18);
                 for (one, other) in run(None).iter().zip(&run(Some(longest))) {
                     assert_eq!(one.positions, other.positions);
