@@ -14,10 +14,12 @@ use driftcore::field::gridded::{Axis, GriddedSea, Tide};
 use driftcore::field::{SeaField, Vec2};
 use driftcore::model::{Formulation, Model, Problem, Solver};
 use driftcore::wind::bootstrap::{Bootstrap, Catalogue};
+use driftcore::wind::hand_over::HandOver;
 use driftcore::wind::lanes::WindPaths;
 use driftcore::wind::path::WindPath;
 use driftcore::wind::small_scale::SmallScale;
 use driftcore::wind::{Sampling, WindGenerator};
+use nalgebra::Matrix2;
 use num_complex::Complex64;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -367,7 +369,24 @@ fn generator_of(unit: f64) -> WindGenerator {
 /// integrals between them; and a longer path begins with the shorter one.
 #[test]
 fn one_member_is_one_wind() {
-    let generator = generator();
+    is_one_wind(&generator());
+    is_one_wind(&handed_over());
+}
+
+/// The first 30 steps handed over, of two forecasts.
+fn handed_over() -> WindGenerator {
+    let small_scale = SmallScale::new(0.2, 0.005, 0.0096, 48).unwrap();
+    let bootstrap = Bootstrap::new(catalogue(0.3)).unwrap();
+    let forecasts = (0..60).map(|k| Vec2::new(k as f64, -0.5 * k as f64)).collect();
+    let spread = (0..30).map(|k| k as f64 / 30.0).collect();
+    let matrices = [0.8, 0.6, 1.0].map(|value| Matrix2::identity() * value);
+    let hand_over = HandOver::new(forecasts, spread, matrices).unwrap();
+    WindGenerator::new(Arc::new(bootstrap), small_scale, 0.0096, 2.0, 7, Some(0))
+        .unwrap()
+        .handed_over(Arc::new(hand_over))
+}
+
+fn is_one_wind(generator: &WindGenerator) {
     let coarse = generator.path(5, 3, 1.0, Sampling::Coarse).unwrap();
     let fine = generator.path(5, 3, 1.0, Sampling::Fine).unwrap();
     assert_eq!(coarse.start(), fine.start());

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
+from scipy.interpolate import NdBSpline, RectBivariateSpline, make_interp_spline
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -326,6 +327,93 @@ def full_general(
         start = np.append(start, v - sea.velocity(0.0, start))
     knots = np.asarray(knots, dtype=float)
     states = dop853(rhs, start, times, knots, sea.period / 20, rtol, atol)
+    velocity = [rhs(t, state)[:2] for t, state in zip(times, states, strict=True)]
+    return Path(states[:, :2], np.array(velocity))
+
+
+class Body(NamedTuple):
+    """A floating body: X' = m + U, U' = (F(W) - αm - U)/τ, where the wind also drives the water.
+
+    Lines are (slope, offset) of the wind's speed; crosswind is to the right of the wind.
+    """
+
+    response: float = 0.0
+    slip: float = 0.0
+    downwind: tuple[float, float] = (0.0, 0.0)
+    crosswind: tuple[float, float] = (0.0, 0.0)
+    surface_current: tuple[float, float] = (0.0, 0.0)
+
+    def leeway(self, wind: Floats) -> Floats:
+        """F(W) (2,)."""
+        speed = np.hypot(*wind)
+        if speed == 0:
+            return np.zeros(2)
+        lines = [slope * speed + offset for slope, offset in (self.downwind, self.crosswind)]
+        return turned(wind / speed, *lines)
+
+
+def turned(along: Floats, ahead: float, right: float) -> Floats:
+    """``ahead`` of a vector (2,) and ``right`` of the same turned to its right."""
+    return ahead * along + right * np.array([along[1], -along[0]])
+
+
+class GriddedTide:
+    """Constituents (frequency, (nx, ny, 2) complex) on a grid, by SciPy's bicubic splines."""
+
+    def __init__(self, x: Floats, y: Floats, constituents: Sequence[tuple[float, Complexes]]):
+        self.constituents = [
+            [omega, *(RectBivariateSpline(x, y, f(c)) for c in z.T.swapaxes(1, 2) for f in PARTS)]
+            for omega, z in constituents
+        ]
+
+    def velocity(self, t: float, x: Floats) -> Floats:
+        """Σ_k Re[c_k e^{iω_k t}] (2,)."""
+        total = np.zeros(2)
+        for omega, *splines in self.constituents:
+            real0, imaginary0, real1, imaginary1 = (float(s(*x)[0, 0]) for s in splines)
+            c = np.array([real0 + 1j * imaginary0, real1 + 1j * imaginary1])
+            total += np.real(c * np.exp(1j * omega * t))
+        return total
+
+
+PARTS = (np.real, np.imag)
+
+
+class GriddedCurrent:
+    """A current (nt, nx, ny, 2) on a grid, by SciPy's tricubic splines."""
+
+    def __init__(self, t: Floats, x: Floats, y: Floats, values: Floats) -> None:
+        knots = []
+        for axis, points in enumerate((t, x, y)):
+            spline = make_interp_spline(points, values, axis=axis)
+            knots.append(spline.t)
+            values = np.moveaxis(spline.c, 0, axis)
+        self.spline = NdBSpline(tuple(knots), values, 3)
+
+    def velocity(self, t: float, x: Floats) -> Floats:
+        """R(t, x) (2,)."""
+        return np.asarray(self.spline([t, *x]))
+
+
+def full_body(
+    water: Callable[[float, Floats], Floats], wind: NaiveWind, body: Body, x: Point, v: Point,
+    times: Floats, step: float, rtol: float = 1e-11, atol: float = 1e-13,
+) -> Path:  # fmt: skip
+    """Drift of a body released at time 0 with velocity ``v`` (where τ > 0), on the plane."""
+
+    def rhs(t: float, state: Floats) -> Floats:
+        now = wind.value(t)
+        current = water(t, state[:2]) + turned(now, *body.surface_current)
+        target = body.leeway(now) - body.slip * current
+        if body.response == 0:
+            return current + target
+        return np.concatenate([current + state[2:], (target - state[2:]) / body.response])
+
+    start = np.asarray(x, dtype=float)
+    if body.response > 0:
+        current = water(0.0, start) + turned(wind.value(0.0), *body.surface_current)
+        start = np.concatenate([start, v - current])
+    states = dop853(rhs, start, times, wind.knots, step, rtol, atol)
     velocity = [rhs(t, state)[:2] for t, state in zip(times, states, strict=True)]
     return Path(states[:, :2], np.array(velocity))
 

@@ -1,6 +1,7 @@
 """Tides: convention, atlases from files, fits to a current, analytic waves."""
 
 import math
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -864,3 +865,17 @@ def test_biscay_has_realistic_sizes_and_is_smooth() -> None:
     fine = tides.biscay(0.1).velocity(START, -4.55, 47.05)
     finer = tides.biscay(0.125).velocity(START, -4.55, 47.05)
     assert abs(fine - finer).max() < 0.02
+
+
+def test_warnings_are_heard_beside_pytmd() -> None:
+    """Importing pyTMD turns off every UserWarning of a process; importing it through us does not.
+
+    In a process of its own, for it is imported once.
+    """
+    code = (
+        "import warnings; from driftcore import tides; tides._pytmd(); "
+        "from driftcore.errors import DriftCoreWarning; warnings.warn('heard', DriftCoreWarning)"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    assert "DriftCoreWarning: heard" in done.stderr

@@ -8,8 +8,10 @@ Examples
 >>> print(forecast.stranding_probability())
 """
 
-from driftcore import _core, coast, currents, objects, paper, tides
-from driftcore.coast import LandCoast
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from driftcore import _core, paper
 from driftcore.errors import (
     DriftCoreError,
     DriftCoreWarning,
@@ -27,21 +29,58 @@ from driftcore.forecast import (
     run,
     trajectory,
 )
-from driftcore.geographic import GeographicScenario
-from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
-from driftcore.geographic_forecast import GeographicForecast
-from driftcore.grids import VectorGrid, read_vector_grid, read_wind_grid
 from driftcore.maps import MapGrid
-from driftcore.objects import FloatingBody, Leeway
 from driftcore.record import WindRecord, read_record
-from driftcore.releases import Release, Releases
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
 from driftcore.statistics import Probability
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
-from driftcore.wind_fields import FieldBootstrap, GriddedWindRecord
+
+if TYPE_CHECKING:
+    from driftcore import coast, currents, objects, tides
+    from driftcore.coast import LandCoast
+    from driftcore.geographic import GeographicScenario
+    from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
+    from driftcore.geographic_forecast import GeographicForecast
+    from driftcore.grids import VectorGrid, read_vector_grid, read_wind_grid
+    from driftcore.hand_over import HandOver
+    from driftcore.objects import FloatingBody, Leeway
+    from driftcore.releases import Release, Releases
+    from driftcore.wind_fields import FieldBootstrap, GriddedWindRecord
 
 __version__ = _core.VERSION
+
+# The real sea is imported when it is used: a run of the paper's case waits for none of it.
+_OF_THE_REAL_SEA = {
+    "FieldBootstrap": "wind_fields",
+    "FloatingBody": "objects",
+    "GeographicConfiguration": "geographic_configuration",
+    "GeographicForecast": "geographic_forecast",
+    "GeographicScenario": "geographic",
+    "GriddedWindRecord": "wind_fields",
+    "HandOver": "hand_over",
+    "LandCoast": "coast",
+    "Leeway": "objects",
+    "Release": "releases",
+    "Releases": "releases",
+    "VectorGrid": "grids",
+    "read_configuration": "geographic_configuration",
+    "read_vector_grid": "grids",
+    "read_wind_grid": "grids",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("coast", "currents", "objects", "tides"):
+        return import_module(f"driftcore.{name}")
+    if name in _OF_THE_REAL_SEA:
+        return getattr(import_module(f"driftcore.{_OF_THE_REAL_SEA[name]}"), name)
+    raise AttributeError(f"module 'driftcore' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__
+
 
 __all__ = [
     "AcademicSea",
@@ -55,6 +94,7 @@ __all__ = [
     "GeographicForecast",
     "GeographicScenario",
     "GriddedWindRecord",
+    "HandOver",
     "HarmonicSea",
     "LandCoast",
     "Leeway",

@@ -50,10 +50,22 @@ class Bootstrap:
         seed: int,
         first_member: int = 0,
         phase: int | None = None,
+        hand_over: HandOver | None = None,
     ) -> tuple[_Floats, _Integers]: ...
     def draws_at(
         self, state: _Floats, count: int, seed: int, weigh_all: bool = False
     ) -> _Integers: ...
+
+@final
+class HandOver:
+    def __new__(
+        cls,
+        forecasts: _Floats,
+        spread: _Floats,
+        memory: list[list[float]],
+        innovation: list[list[float]],
+        scale: list[list[float]],
+    ) -> HandOver: ...
 
 @final
 class WindGenerator:
@@ -67,6 +79,7 @@ class WindGenerator:
         substeps: int,
         lead_in: int,
         phase: int | None = None,
+        hand_over: HandOver | None = None,
     ) -> WindGenerator: ...
     def path(self, seed: int, member: int, end: float) -> tuple[_Floats, _Floats]: ...
 
@@ -158,6 +171,20 @@ class Scenario:
     ) -> str | None: ...
 
 @final
+class FieldWinds:
+    def __new__(
+        cls,
+        axes: list[tuple[float, float, int]],
+        patterns: _Floats,
+        times: tuple[float, float],
+        first: int,
+        amplitudes: _Floats,
+        small_scale: tuple[float, float, int, int] | None = None,
+    ) -> FieldWinds: ...
+
+_Winds = tuple[WindGenerator, int] | list[WindPath] | WindPaths | FieldWinds
+
+@final
 class Fleet:
     def __new__(
         cls,
@@ -173,10 +200,10 @@ class Fleet:
         jibing_rate: float,
         seed: int,
     ) -> Fleet: ...
-    def trajectory(self, wind: WindPath, solver: Solver, times: _Floats) -> list[_Floats]: ...
+    def trajectory(self, winds: _Winds, solver: Solver, times: _Floats) -> list[_Floats]: ...
     def run(
         self,
-        winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
+        winds: _Winds,
         solver: Solver,
         first: int,
         times: _Floats,

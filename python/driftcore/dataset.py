@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 STATUSES = ("afloat", "stranded", "left_domain", "failed")
 # Bytes that a NetCDF file holds besides its values, generously.
 _FILE_OVERHEAD = 10**6
+# Of times, and how many nanoseconds each is.
+_TIME_UNITS = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3, "nanoseconds": 1}
+_NO_TIME = np.int64(np.iinfo(np.int64).min)
 _TIME = {
     "long_name": "time since the release, in units of the run",
     "units": "1",
@@ -48,6 +51,11 @@ def scenario_attributes(scenario: Scenario) -> dict[str, Any]:
     if scenario.coast is not None:
         attributes["coast"] = json.dumps({**scenario.coast.model_dump(), "side": scenario.side})
     return attributes
+
+
+def is_geographic(dataset: xr.Dataset) -> bool:
+    """Say whether a forecast is one on the real sea."""
+    return "stranding_longitude" in dataset
 
 
 def _variable(dims: tuple[str, ...], values: Any, long_name: str, units: str = "1") -> Any:
@@ -237,12 +245,43 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
     }
     # A coordinate has no missing values (CF 2.5.1), and so none that stands for them.
     encoding |= {name: {"_FillValue": None} for name in dataset.coords}
+    dataset = _times_as_numbers(dataset)
     with replacing(path, overwrite) as temporary:
         # The HDF5 library brings the process down when the disk fills up under it.
         needed, free = dataset.nbytes + _FILE_OVERHEAD, shutil.disk_usage(temporary.parent).free
         if free < needed:
             raise OSError(f"it needs up to {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free")
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+
+
+def _times_as_numbers(dataset: xr.Dataset) -> xr.Dataset:
+    """Give times as whole numbers of the longest unit in which none of them is rounded.
+
+    Programs read seconds more widely than nanoseconds. All times have the same unit and origin:
+    bounds must have those of what they bound (CF 7.1).
+    """
+    # What a dataset was read with would stand beside what is set here.
+    dataset = dataset.drop_encoding()
+    for names in (set(dataset.coords), set(dataset.data_vars)):
+        times = {name: dataset[name] for name in names if dataset[name].dtype.kind == "M"}
+        known = [v.values[~np.isnat(v.values)] for v in times.values()]
+        instants = np.concatenate([*known, np.zeros(0, dtype="datetime64[ns]")])
+        first = instants.min() if len(instants) else np.datetime64(0, "ns")
+        day = first.astype("datetime64[D]")
+        origin = day.astype("datetime64[ns]")
+        unit, length = next(
+            (unit, length)
+            for unit, length in _TIME_UNITS.items()
+            if not ((instants - origin).astype(np.int64) % length).any()
+        )
+        attributes = {"units": f"{unit} since {day} 00:00:00", "calendar": "proleptic_gregorian"}
+        for name, variable in times.items():
+            numbers = (variable.values - origin).astype(np.int64)
+            missing = np.isnat(variable.values)
+            numbers = np.where(missing, _NO_TIME, numbers // length)
+            fill = {} if name in dataset.coords else {"_FillValue": _NO_TIME}
+            dataset[name] = (variable.dims, numbers, variable.attrs | attributes | fill)
+    return dataset
 
 
 def read_netcdf(path: Path) -> xr.Dataset:
@@ -260,13 +299,15 @@ def read_netcdf(path: Path) -> xr.Dataset:
             raise FileNotFoundError("no such file")
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
-        with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
+        with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as dataset:
             loaded = dataset.load()
     except Exception as error:
         # The HDF5 library answers a damaged file with whatever the damage leads it to.
         raise OutputError(f"{path}: cannot be read as NetCDF-4: {error}") from None
-    expected = ("status", "stranding_time", "stranding_position", "configuration")
-    missing = [name for name in expected if name not in {*loaded.variables, *loaded.attrs}]
+    held = {*loaded.variables, *loaded.attrs}
+    place = "stranding_longitude" if is_geographic(loaded) else "stranding_position"
+    expected = ("status", "stranding_time", place, "configuration")
+    missing = [name for name in expected if name not in held]
     if missing:
         raise OutputError(f"{path}: is not a driftcore forecast (no {', '.join(missing)})")
     return loaded

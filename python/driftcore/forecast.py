@@ -18,6 +18,7 @@ from driftcore import _core
 from driftcore.dataset import (
     STATUSES,
     forecast_dataset,
+    is_geographic,
     provenance,
     read_netcdf,
     trajectory_dataset,
@@ -26,8 +27,6 @@ from driftcore.dataset import (
     write_netcdf,
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
-from driftcore.geographic import GeographicScenario
-from driftcore.geographic_configuration import GeographicConfiguration
 from driftcore.maps import MapGrid
 from driftcore.record import WindRecord
 from driftcore.scenario import (
@@ -46,7 +45,10 @@ from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 if TYPE_CHECKING:
     import xarray as xr
 
+    from driftcore.geographic import GeographicScenario
+    from driftcore.geographic_configuration import GeographicConfiguration
     from driftcore.geographic_forecast import GeographicForecast
+    from driftcore.hand_over import HandOver
 
 Progress = Callable[[int, int], None]
 Floats = NDArray[np.float64]
@@ -57,7 +59,7 @@ _LEAD_IN_TIDES = 3
 # Members between two reports of progress, at least: what is shared is prepared anew for each.
 _LEAST_CHUNK = 1024
 # Small-scale steps in a tide, paper section 4.1.
-_FINE_STEPS = 100
+FINE_STEPS = 100
 
 
 def trajectory(
@@ -115,7 +117,7 @@ def trajectory(
     DriftCoreError
         The integration failed.
     """
-    if isinstance(scenario, GeographicScenario):
+    if not isinstance(scenario, Scenario):
         from driftcore.geographic_forecast import geographic_trajectory
 
         _refuse_paper_options({"window": window, "euler_step": euler_step}, wind_terms)
@@ -154,7 +156,7 @@ def trajectory(
 
 def forecast(
     scenario: Scenario | GeographicScenario,
-    wind: LocalGridBootstrap | Sequence[WindPath] | WindPaths | None = None,
+    wind: LocalGridBootstrap | HandOver | Sequence[WindPath] | WindPaths | None = None,
     *,
     members: int | None = None,
     model: ModelName = "mean-flow",
@@ -184,12 +186,12 @@ def forecast(
         The body, its release, the sea and the coast.
     wind : LocalGridBootstrap, sequence of WindPath, or WindPaths, optional
         The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate. Or the
-        winds themselves, one member each.
+        winds themselves, one member each. On the real sea also a `HandOver` from today's forecast.
     members : int, optional
         Number of members; default 1000, or as many as there are paths.
     model, order, window, wind_terms, rtol, atol
         As in `trajectory`; the default is the mean-flow expansion of order 1. It and `"full"` step
-        on a time grid common to all members, a tide and a tenth of one at most; a member whose
+        on a time grid common to all members, two tides and a tenth of one at most; a member whose
         error is estimated above the tolerance is followed by adaptive steps of its own.
     steps_per_tide : float, optional
         Of one length, whatever the estimated error, for these two models: to compare.
@@ -221,11 +223,9 @@ def forecast(
     ScenarioError
         An argument is not accepted: its name, value and what is accepted are in the message.
     """
-    if isinstance(scenario, GeographicScenario):
+    if not isinstance(scenario, Scenario):
         from driftcore.geographic_forecast import geographic_forecast
 
-        if wind is None:
-            raise ScenarioError("wind: is missing; the real sea needs a wind of its own")
         paper_only = {"window": window, "steps_per_tide": steps_per_tide}
         _refuse_paper_options(paper_only, wind_terms)
         return geographic_forecast(
@@ -255,10 +255,13 @@ def forecast(
         winds = Resampled(scenario, wind, solver, seed)
         members = 1000 if members is None else members
     else:
-        winds = _Given(scenario, wind, solver)
-        if members not in (None, len(wind)):
-            raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
-        members = len(wind)
+        paths: Any = wind  # anything else is refused by its name
+        winds = _Given(scenario, paths, solver)
+        if members not in (None, len(paths)):
+            raise ScenarioError(
+                f"members: {members} is not accepted; {len(paths)} paths were given"
+            )
+        members = len(paths)
     if steps_per_tide is not None and not (
         isinstance(steps_per_tide, int | float | np.number)
         and math.isfinite(steps_per_tide)
@@ -537,7 +540,7 @@ def planned(
     functools.partial
         `forecast`, or the one of the real sea; its `args` are the scenario and the fitted wind.
     """
-    if isinstance(configuration, GeographicConfiguration):
+    if not isinstance(configuration, RunConfiguration):
         from driftcore.geographic_forecast import geographic_forecast
 
         # Absolute paths, so that what is stored can be run again from anywhere.
@@ -615,12 +618,22 @@ def fitted_wind(wind: WindConfiguration, folder: Path | None = None) -> LocalGri
 def open_forecast(path: str | os.PathLike[str]) -> Forecast:
     """Read a forecast written by `Forecast.to_netcdf`.
 
+    Returns
+    -------
+    Forecast
+        A `GeographicForecast` where it is one.
+
     Raises
     ------
     OutputError
         The file is missing or is not a driftcore forecast.
     """
-    return Forecast(read_netcdf(Path(path)))
+    dataset = read_netcdf(Path(path))
+    if is_geographic(dataset):
+        from driftcore.geographic_forecast import GeographicForecast
+
+        return GeographicForecast(dataset)
+    return Forecast(dataset)
 
 
 def member_path(
@@ -839,10 +852,12 @@ class Resampled:
         solver: _core.Solver,
         seed: int,
         phase: int | None = None,
+        hand_over: Callable[[int], _core.HandOver] | None = None,
     ) -> None:
+        """`hand_over` gives what the members begin with, so many steps before time 0."""
         self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
-        substeps = max(1, math.ceil(step / (scenario.period / _FINE_STEPS) - 1e-9))
+        substeps = max(1, math.ceil(step / (scenario.period / FINE_STEPS) - 1e-9))
         lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
         start, self.end = solver.wind_needed(scenario.duration, scenario.period)
         if start < -_LEAD_IN_TIDES * scenario.period * (1 + 1e-9):
@@ -860,6 +875,7 @@ class Resampled:
             substeps,
             lead_in,
             None if phase is None else wind.phase_before(phase, lead_in),
+            None if hand_over is None else hand_over(lead_in),
         )
         self.lead_in = lead_in
         self.times = np.arange(math.ceil(self.end / step - 1e-9) + 1) * np.float64(step)

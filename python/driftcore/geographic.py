@@ -129,8 +129,8 @@ class GeographicScenario:
             self.coast.around(self.reference[0]).check_afloat(places + np.array(self.reference))
         if self.current is not None and len(self.current.times) > 1:
             first, last = self.current.times[[0, -1]]
-            if first > self.origin or last < self.end:
-                shown = np.datetime_as_string([first, last, self.origin, self.end], unit="m")
+            if first > self.start or last < self.end:
+                shown = np.datetime_as_string([first, last, self.start, self.end], unit="m")
                 raise ScenarioError(
                     f"current: it covers {shown[0]} to {shown[1]}; the run needs {shown[2]} to "
                     f"{shown[3]}; give current.mean() (in TOML: mean = true) to use its mean"
@@ -164,7 +164,7 @@ class GeographicScenario:
     @property
     def end(self) -> np.datetime64:
         """End of the run, UTC."""
-        length = np.timedelta64(round(self.days * 86_400e9), "ns")
+        length = np.timedelta64(round(self.days * 86_400e6), "us")
         end: np.datetime64 = self.start + length
         return end
 
@@ -183,9 +183,9 @@ class GeographicScenario:
         return (np.asarray(times, dtype="datetime64[ns]") - self.origin) / _DAY
 
     def instants(self, days: Floats) -> NDArray[np.datetime64]:
-        """Give times so many days after the origin, UTC; NaT where NaN."""
-        nanoseconds = np.where(np.isnan(days), 0, np.round(days * 86_400e9)).astype(np.int64)
-        times = self.origin + nanoseconds.astype("timedelta64[ns]")
+        """Give times so many days after the origin, UTC, to the microsecond; NaT where NaN."""
+        microseconds = np.where(np.isnan(days), 0, np.round(days * 86_400e6)).astype(np.int64)
+        times = self.origin + microseconds.astype("timedelta64[us]")
         return np.where(np.isnan(days), np.datetime64("NaT", "ns"), times)
 
     @property
@@ -212,15 +212,15 @@ class GeographicScenario:
     def domain(self) -> tuple[float, float, float, float]:
         """West, east, south and north end of the data, relative to the reference [degrees]."""
         boxes = [
-            (*self._offsets(grid.longitude)[[0, -1]], *(grid.latitude - self.reference[1])[[0, -1]])
+            (*self.offsets(grid.longitude)[[0, -1]], *(grid.latitude - self.reference[1])[[0, -1]])
             for grid in (self.tides, self.current)
             if grid is not None
         ]
         west, east, south, north = zip(*boxes, (-180, 180, -90, 90), strict=True)
         return max(west), min(east), max(south), min(north)
 
-    def _offsets(self, longitude: Floats) -> Floats:
-        """Longitudes relative to the reference, in the turn that brings their middle nearest."""
+    def offsets(self, longitude: Floats) -> Floats:
+        """Give longitudes relative to the reference, in the turn whose middle is nearest."""
         offset = longitude - self.reference[0]
         offset -= 360 * np.round((offset[0] + offset[-1]) / 720)
         return np.asarray(offset)
@@ -229,19 +229,23 @@ class GeographicScenario:
         """Build the compiled sea: rates of the coordinates in degrees a day."""
         from driftcore import _core
         from driftcore.currents import filled
-        from driftcore.sea import _axis, _spline_coefficients
+        from driftcore.sea import spline_axis, spline_coefficients
 
         def splines(fields: NDArray[Any], latitude: Floats) -> Any:
             """Spline coefficients (time, y, x, channel) of (time, y, x, channel) in m/s."""
             metric = np.stack([_DEGREES / np.cos(np.radians(latitude)), 0 * latitude + _DEGREES])
             scaled = fields * np.tile(metric, (fields.shape[-1] // 2, 1)).T[:, None, :]
             for dimension in range(3):
-                scaled = _spline_coefficients(scaled, dimension)
+                scaled = spline_coefficients(scaled, dimension)
             return np.ascontiguousarray(scaled, dtype=complex)
 
         def axes(longitude: Floats, latitude: Floats, times: Floats) -> list[Any]:
-            x, y = self._offsets(longitude), latitude - self.reference[1]
-            return [_axis("longitude", x), _axis("latitude", y), _axis("time", times)]
+            x, y = self.offsets(longitude), latitude - self.reference[1]
+            return [
+                spline_axis("longitude", x),
+                spline_axis("latitude", y),
+                spline_axis("time", times),
+            ]
 
         seas = []
         if self.tides is not None:
@@ -395,7 +399,7 @@ class GeographicScenario:
         """Say where the ordering that averaging needs does not hold."""
         scaling = self.scaling
         problems = []
-        if scaling.epsilon > _LARGEST_EPSILON:
+        if scaling.tide and scaling.epsilon > _LARGEST_EPSILON:
             problems.append(f"epsilon = {scaling.epsilon:.2g} (a tide over the run)")
         if scaling.steepness > _LARGEST_STEEPNESS:
             problems.append(

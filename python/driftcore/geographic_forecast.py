@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,27 +13,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
 from driftcore.dataset import STATUSES, provenance, with_maps, with_targets
-from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
+from driftcore.errors import DriftCoreError, ScenarioError
 from driftcore.forecast import (
     Fates,
     Forecast,
-    Resampled,
     checked_count,
     default_threads,
     solver_of,
     warn_of_failures,
 )
 from driftcore.geographic import GeographicScenario
+from driftcore.geographic_winds import core_path, winds_of
+from driftcore.grids import VectorGrid
 from driftcore.maps import MapGrid
-from driftcore.record import day_of_year, mean_cycle
 from driftcore.scenario import ModelName, Polygons
 from driftcore.statistics import Probability, probability, wilson
-from driftcore.wind import LocalGridBootstrap, WindPath
+from driftcore.wind import WindPath
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from driftcore.coast import LandCoast
+    from driftcore.geographic_winds import GeographicWind
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.datetime64]
@@ -45,7 +45,7 @@ _CHUNK = 1024
 
 def geographic_trajectory(
     scenario: GeographicScenario,
-    path: WindPath,
+    path: WindPath | VectorGrid,
     *,
     model: ModelName,
     times: ArrayLike,
@@ -57,11 +57,17 @@ def geographic_trajectory(
     """Follow the first member under a given wind, whatever coast there is: see `trajectory`."""
     import xarray as xr
 
+    _require_geographic(scenario)
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     instants = _instants(scenario, times)
+    wind: Any = (
+        winds_of(scenario, path, solver, seed).core(0, 1)
+        if isinstance(path, VectorGrid)
+        else [core_path(scenario, path)]
+    )
     fleet, _, _ = scenario.core_fleet(scenario.core_sea(), None, 0, 1, seed)
     try:
-        arrays, work = fleet.trajectory(_core_path(scenario, path), solver, instants)
+        arrays, work = fleet.trajectory(wind, solver, instants)
     except ValueError as error:
         raise ScenarioError(str(error)) from None
     except RuntimeError as error:
@@ -95,7 +101,7 @@ def geographic_trajectory(
 
 def geographic_forecast(
     scenario: GeographicScenario,
-    wind: LocalGridBootstrap | Sequence[WindPath],
+    wind: GeographicWind,
     *,
     members: int | None = None,
     model: ModelName = "mean-flow",
@@ -119,28 +125,18 @@ def geographic_forecast(
     [longitude, latitude] points, or `Polygons`. `configuration` is the TOML text, if any, that the
     arguments come from: it is stored, so that `driftcore run` repeats it.
     """
+    _require_geographic(scenario)
     order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
     if model == "mean-flow":
         scenario.warn()
     seed = checked_count("seed", seed, least=0)
-    if isinstance(wind, LocalGridBootstrap):
+    winds = winds_of(scenario, wind, solver, seed)
+    if winds.members is None:
         members = 1000 if members is None else checked_count("members", members)
-        phase = _phase(wind, scenario)
-        resampled = Resampled(scenario, wind, solver, seed, phase)
-        resampled.warn()
-        winds: Any = resampled.core
-        attributes = resampled.attributes()
-    elif isinstance(wind, Sequence) and all(isinstance(path, WindPath) for path in wind):
-        if members not in (None, len(wind)):
-            raise ScenarioError(f"members: {members} is not accepted; {len(wind)} paths were given")
-        members = len(wind)
-        winds = [_core_path(scenario, path) for path in wind]
-        attributes = {"wind_label": f"{members} wind paths given in Python"}
+    elif members not in (None, winds.members):
+        raise ScenarioError(f"members: {members} is not accepted; {winds.members} paths were given")
     else:
-        raise ScenarioError(
-            f"wind: {type(wind).__name__} is not accepted; a fitted LocalGridBootstrap, or a list "
-            "of WindPath with datetime64 times"
-        )
+        members = winds.members
     keep = min(checked_count("keep", keep, least=0), members)
     threads = checked_count("threads", default_threads() if threads is None else threads)
     chunk = checked_count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
@@ -166,7 +162,15 @@ def geographic_forecast(
         )
         try:
             failed = fleet.run(
-                winds, solver, first, instants, keep, fates.rows(rows), threads, areas, counted
+                winds.core(first, number),
+                solver,
+                first,
+                instants,
+                keep,
+                fates.rows(rows),
+                threads,
+                areas,
+                counted,
             )
         except ValueError as error:
             raise ScenarioError(str(error)) from None
@@ -182,7 +186,7 @@ def geographic_forecast(
         "rtol": rtol,
         "seed": np.uint64(seed),
         "members": members,
-        **attributes,
+        **winds.attributes(),
         **scenario.describe(),
         "configuration": configuration,
         **provenance(f"forecast of {members} members"),
@@ -301,6 +305,15 @@ class GeographicForecast(Forecast):
 
 _LONGITUDE = {"standard_name": "longitude", "units": "degrees_east", "axis": "X"}
 _LATITUDE = {"standard_name": "latitude", "units": "degrees_north", "axis": "Y"}
+# Name of the variable that says what they refer to, for programs that lay maps over others.
+_CRS = "crs"
+
+
+def _require_geographic(scenario: object) -> None:
+    if not isinstance(scenario, GeographicScenario):
+        raise ScenarioError(
+            f"scenario: {type(scenario).__name__} is not accepted; a Scenario or GeographicScenario"
+        )
 
 
 def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, Floats]:
@@ -325,37 +338,6 @@ def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
             f"{scenario.start} to {scenario.end}"
         )
     return np.asarray(np.minimum(scenario.since_origin(instants), scenario.duration))
-
-
-def _core_path(scenario: GeographicScenario, path: WindPath) -> _core.WindPath:
-    """Give a path of UTC times in the time of the run."""
-    if not isinstance(path, WindPath):
-        raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
-    if path.instants is None:
-        raise ScenarioError("path: its times are numbers; a geographic scenario needs datetime64")
-    return _core.WindPath(scenario.since_origin(path.instants), path.velocity)
-
-
-def _phase(wind: LocalGridBootstrap, scenario: GeographicScenario) -> int:
-    """Give the phase of the mean cycle of a wind at the origin of a run."""
-    record = wind.record
-    month = int(scenario.start.astype("datetime64[M]").astype(int)) % 12 + 1
-    if month not in record.months:
-        warnings.warn(
-            f"the run starts in month {month}, the wind was resampled from months "
-            f"{', '.join(map(str, record.months))}",
-            DriftCoreWarning,
-            stacklevel=4,
-        )
-    phase, _ = mean_cycle(record)
-    midnight = record.times == record.times.astype("datetime64[D]")
-    if not midnight.any():
-        # Of a record whose first hour of the day is not 0: the nearest one.
-        of_day = record.times - record.times.astype("datetime64[D]")
-        midnight = of_day == of_day.min()
-    rows = np.flatnonzero(midnight)
-    days = np.abs(day_of_year(record.times[rows]) - day_of_year(np.array([scenario.origin])))
-    return int(phase[rows[np.argmin(np.minimum(days, 365 - days))]])
 
 
 def _area(scenario: GeographicScenario, name: str, area: Any) -> _core.Coast:
@@ -404,13 +386,31 @@ def _geographic_maps(
     scenario: GeographicScenario, dataset: xr.Dataset, maps: MapGrid
 ) -> xr.Dataset:
     """Name the axes of maps by what they are."""
+    import pyproj
+
     x, y = np.array(maps.x), np.array(maps.y)
-    times = scenario.start + (np.array(maps.times) * 86_400e9).astype("timedelta64[ns]")
-    return dataset.rename({"x": "map_longitude", "y": "map_latitude"}).assign_coords(
-        map_longitude=("map_longitude", (x[1:] + x[:-1]) / 2, _LONGITUDE),
-        map_latitude=("map_latitude", (y[1:] + y[:-1]) / 2, _LATITUDE),
-        map_time=("map_time", times, {"standard_name": "time", "axis": "T"}),
-    )
+    times = scenario.instants(scenario.since_origin(scenario.start) + np.array(maps.times))
+    names = {
+        name + suffix: f"map_{axis}{suffix}"
+        for name, axis in (("x", "longitude"), ("y", "latitude"))
+        for suffix in ("", "_bounds")
+    }
+    dataset = dataset.rename(names)
+    for variable in dataset.data_vars.values():
+        if "map_longitude" in variable.dims:
+            variable.attrs["grid_mapping"] = _CRS
+    on_maps = ("map_longitude", x, _LONGITUDE), ("map_latitude", y, _LATITUDE)
+    coordinates: dict[str, Any] = {}
+    for name, edges, about in on_maps:
+        bounds = f"{name}_bounds"
+        coordinates[name] = (name, (edges[1:] + edges[:-1]) / 2, {**about, "bounds": bounds})
+        coordinates[bounds] = ((name, "bound"), np.stack([edges[:-1], edges[1:]], axis=1))
+    about = {"standard_name": "time", "axis": "T", "bounds": "map_time_bounds"}
+    before = np.append(scenario.start, times[:-1])
+    coordinates["map_time"] = ("map_time", times, about)
+    coordinates["map_time_bounds"] = (("map_time", "bound"), np.stack([before, times], axis=1))
+    system = pyproj.CRS(4326).to_cf()
+    return dataset.assign({_CRS: ((), np.int32(0), system)}).assign_coords(coordinates)
 
 
 def _dataset(

@@ -125,37 +125,12 @@ def trajectories(dataset: xr.Dataset, ax: Axes | None = None, limit: int = 100) 
     if limit < 1:
         raise ScenarioError(f"limit: got {limit} members to draw, accepted are 1 or more")
     axes = _figure(_TRAJECTORIES).subplots() if ax is None else ax
-    from matplotlib.collections import LineCollection
-
     members, paths = _kept_paths(dataset, limit)
     status = dataset["status"].sel(member=members).to_numpy()
     ends = _values(dataset["stranding_position"].sel(member=members))
 
     artists = _draw_coast(axes, dataset)
-    for flag, (label, colour) in _FATES.items():
-        lines = [
-            _finite(np.vstack((path, end)))
-            for path, end in zip(paths[status == flag], ends[status == flag], strict=True)
-        ]
-        if any(len(line) > 1 for line in lines):
-            # The rarer a fate, the nearer the top, where its few paths are not hidden.
-            height = 3.0 - float(np.mean(status == flag))
-            drawn = LineCollection(lines, colors=colour, linewidths=0.5, alpha=0.4, zorder=height)
-            drawn.set_label(label)
-            artists.append(axes.add_collection(drawn))
-    points = _finite(ends)
-    if len(points):
-        artists += axes.plot(
-            *points.T,
-            linestyle="none",
-            marker="*",
-            markersize=6.5,
-            markerfacecolor=_VERMILION,
-            markeredgecolor=_INK,
-            markeredgewidth=0.3,
-            zorder=4,
-            label="stranding point",
-        )
+    artists += _draw_fates(axes, paths, ends, status)
     release = _json_attribute(dataset, "release")
     if release is not None:
         artists += _draw_release(axes, release)
@@ -301,24 +276,7 @@ def stranding_times(dataset: xr.Dataset, ax: Axes | None = None) -> list[Artist]
     times = dataset["stranding_time"].to_numpy()
     times = np.sort(times[np.isfinite(times)])
     end = float(dataset.attrs.get("duration", times[-1] if len(times) else 1.0))
-    # The curve is known up to the end of the run, also before the first and after the last event.
-    t = np.concatenate(([0.0], times, [end]))
-    count = np.concatenate(([0.0], np.arange(1.0, len(times) + 1), [float(len(times))]))
-    low, high = wilson(count, total)
-
-    line = axes.step(
-        t, 100 * count / total, where="post", color=_BLUE, linewidth=1.4, label="share stranded"
-    )
-    band = axes.fill_between(
-        t,
-        100 * low,
-        100 * high,
-        step="post",
-        color=_BLUE,
-        alpha=0.22,
-        linewidth=0,
-        label="95 % interval (Wilson)",
-    )
+    artists = _draw_cumulative(axes, times, total, 0.0, end, _BLUE, "share stranded")
     axes.set_xlim(0.0, end)
     axes.set_ylim(-2.0, 102.0)
     _labels(axes, _TIME_LABEL, "cumulative probability\nof stranding [%]")
@@ -327,7 +285,7 @@ def stranding_times(dataset: xr.Dataset, ax: Axes | None = None) -> list[Artist]
     # The curve rises: past half at half-time it leaves the lower right free, else the upper left.
     early = np.searchsorted(times, end / 2, side="right") > total / 2
     _legend(axes, loc="lower right" if early else "upper left")
-    return [*line, band, *_days_axis(axes, dataset)]
+    return [*artists, *_days_axis(axes, dataset)]
 
 
 def time_series(
@@ -859,6 +817,60 @@ def _draw_coast(axes: Axes, dataset: xr.Dataset) -> list[Artist]:
             return [axes.add_collection(polygons, autolim=False)]
         case kind:
             raise ScenarioError(f"coast: got kind {kind!r}, accepted are 'circle' and 'polygons'")
+
+
+def _draw_fates(axes: Axes, paths: Floats, ends: Floats, status: NDArray[Any]) -> list[Artist]:
+    """Draw paths (member, time, 2) up to where they stranded (member, 2), a hue for each fate."""
+    from matplotlib.collections import LineCollection
+
+    artists: list[Artist] = []
+    for flag, (label, colour) in _FATES.items():
+        lines = [
+            _finite(np.vstack((path, end)))
+            for path, end in zip(paths[status == flag], ends[status == flag], strict=True)
+        ]
+        if any(len(line) > 1 for line in lines):
+            # The rarer a fate, the nearer the top, where its few paths are not hidden.
+            height = 3.0 - float(np.mean(status == flag))
+            drawn = LineCollection(lines, colors=colour, linewidths=0.5, alpha=0.4, zorder=height)
+            drawn.set_label(label)
+            artists.append(axes.add_collection(drawn))
+    points = _finite(ends)
+    if len(points):
+        artists += axes.plot(
+            *points.T,
+            linestyle="none",
+            marker="*",
+            markersize=6.5,
+            markerfacecolor=_VERMILION,
+            markeredgecolor=_INK,
+            markeredgewidth=0.3,
+            zorder=4,
+            label="stranding point",
+        )
+    return artists
+
+
+def _draw_cumulative(
+    axes: Axes, times: NDArray[Any], total: int, start: Any, end: Any, colour: str, label: str
+) -> list[Artist]:
+    """Draw the share of `total` whose sorted times have come, in percent, and its interval."""
+    # The curve is known up to the end of the run, also before the first and after the last event.
+    t = np.concatenate(([start], times, [end]))
+    count = np.concatenate(([0.0], np.arange(1.0, len(times) + 1), [float(len(times))]))
+    low, high = wilson(count, total)
+    line = axes.step(t, 100 * count / total, where="post", color=colour, linewidth=1.4, label=label)
+    band = axes.fill_between(
+        t,
+        100 * low,
+        100 * high,
+        step="post",
+        color=colour,
+        alpha=0.22,
+        linewidth=0,
+        label="95 % interval (Wilson)",
+    )
+    return [*line, band]
 
 
 def _draw_release(axes: Axes, point: Sequence[float] | Floats) -> list[Artist]:

@@ -267,6 +267,16 @@ def mean_cycle(record: WindRecord) -> tuple[Integer, Float]:
     return place[day] * per_day + slot, table @ fitted
 
 
+def phase_of_day(record: WindRecord, day: np.datetime64) -> int:
+    """Phase of the mean cycle at the midnight of a day, of whatever year."""
+    phase, _ = mean_cycle(record)
+    of_day = record.times - record.times.astype("datetime64[D]")
+    # Of a record whose first hour of the day is not 0: the nearest one.
+    rows = np.flatnonzero(of_day == of_day.min())
+    days = np.abs(day_of_year(record.times[rows]) - day_of_year(np.array([day])))
+    return int(phase[rows[np.argmin(np.minimum(days, 365 - days))]])
+
+
 def rows_with_successor(record: WindRecord, order: int) -> Integer:
     """Rows with `order - 1` rows before and one after them in their segment."""
     rows = np.arange(order - 1, len(record) - 1)
@@ -352,7 +362,7 @@ def _as_table(source: Source) -> tuple[str | None, pd.DataFrame, Mapping[str, st
     path = None
     if isinstance(source, str | PathLike):
         path = fspath(source)
-        source = _read_file(path)
+        source = read_file(path)
     if isinstance(source, pd.DataFrame):
         return path, source, {}
     if hasattr(source, "data_vars"):
@@ -363,7 +373,8 @@ def _as_table(source: Source) -> tuple[str | None, pd.DataFrame, Mapping[str, st
     )
 
 
-def _read_file(path: str) -> pd.DataFrame | xr.Dataset:
+def read_file(path: str) -> pd.DataFrame | xr.Dataset:
+    """Open a CSV or NetCDF file; `RecordError` if that fails."""
     if not Path(path).is_file():
         raise RecordError(f"source: there is no file {path!r}; give a CSV or NetCDF file")
     try:

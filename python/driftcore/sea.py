@@ -98,7 +98,7 @@ class HarmonicSea:
         for axis in ("time", "y", "x"):
             if not np.array_equal(self._tide[axis], self._residual[axis]):
                 raise ScenarioError(f"N: its {axis} axis differs from that of Z; give one grid")
-        self._axes = [_axis(axis, self._tide[axis].values) for axis in ("x", "y", "time")]
+        self._axes = [spline_axis(axis, self._tide[axis].values) for axis in ("x", "y", "time")]
 
     def core(self, period: float, epsilon: float, duration: float) -> _core.Sea:
         """Build the compiled field; `period` and `duration` in scenario time."""
@@ -118,7 +118,7 @@ class HarmonicSea:
         ]
         coefficients = np.concatenate([c.values for c in channels], axis=-1)
         for dimension in range(3):
-            coefficients = _spline_coefficients(coefficients, dimension)
+            coefficients = spline_coefficients(coefficients, dimension)
         return _core.Sea.gridded(
             period, self._axes, self._tide.sizes["harmonic"], np.ascontiguousarray(coefficients)
         )
@@ -155,7 +155,14 @@ def _arranged(name: str, field: xr.DataArray, first_harmonic: int) -> xr.DataArr
     return field
 
 
-def _axis(name: str, values: NDArray[Any]) -> tuple[float, float, int]:
+def spline_axis(name: str, values: NDArray[Any]) -> tuple[float, float, int]:
+    """Give start, step and number of points of a regular axis.
+
+    Raises
+    ------
+    ScenarioError
+        It is not regular, or has 2 or 3 points.
+    """
     count = len(values)
     if count == 1:
         return float(values[0]), 1.0, 1
@@ -168,7 +175,7 @@ def _axis(name: str, values: NDArray[Any]) -> tuple[float, float, int]:
     return float(values[0]), float(values[-1] - values[0]) / (count - 1), count
 
 
-def _spline_coefficients(values: NDArray[Any], axis: int) -> NDArray[Any]:
+def spline_coefficients(values: NDArray[Any], axis: int) -> NDArray[Any]:
     """Coefficients of the uniform cubic B-spline through `values` along `axis`, not-a-knot.
 
     `n` values give `n + 2` coefficients; one value is its own coefficient.

@@ -72,7 +72,7 @@ _GRAVITY = 9.81  # m/s²
 
 def _pytmd() -> ModuleType:
     try:
-        # Some of what it imports silences every UserWarning of the process, ours among them.
+        # Its import turns off every UserWarning of the process, ours too.
         with warnings.catch_warnings():
             from pyTMD import constituents
     except ImportError as error:

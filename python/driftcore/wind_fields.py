@@ -334,20 +334,49 @@ class FieldBootstrap:
         share = self.bootstrap.share
         return share * self.gridded.standard_deviation / math.sqrt(1 - share**2)
 
-    def sample(self, members: int, steps: int, seed: int) -> FieldSample:
+    def sample(
+        self,
+        members: int,
+        steps: int,
+        seed: int,
+        *,
+        first_member: int = 0,
+        phase: int | None = None,
+    ) -> FieldSample:
         """Simulate the components.
 
         Parameters are those of `LocalGridBootstrap.sample`: a member depends on `seed` and its
         number only, and a step is the record's.
+
+        Parameters
+        ----------
+        members, steps, seed
+            As `LocalGridBootstrap.sample`.
+        first_member : int
+            Number of the first of them.
+        phase : int, optional
+            Place in the mean cycle at the first step; any, if absent.
         """
-        return self._sample(self.bootstrap, members, steps, seed)
+        return self._sample(self.bootstrap, members, steps, seed, first_member, phase)
 
     def _sample(
-        self, bootstrap: LocalGridBootstrap, members: int, steps: int, seed: int
+        self,
+        bootstrap: LocalGridBootstrap,
+        members: int,
+        steps: int,
+        seed: int,
+        first_member: int = 0,
+        start_phase: int | None = None,
     ) -> FieldSample:
         others, order = self.others, bootstrap.order
         ahead = steps + 2 * others.reach
-        values, indices = bootstrap.sample(members, ahead, seed, return_indices=True)
+        if start_phase is None and first_member == 0:
+            values, indices = bootstrap.sample(members, ahead, seed, return_indices=True)
+        else:
+            before = None
+            if start_phase is not None:
+                before = bootstrap.phase_before(start_phase, others.reach)
+            values, indices = bootstrap.core.sample(members, ahead, seed, first_member, before)
         begin = indices[:, 0] + 1
         phase = (self.gridded.phase[begin, None] + np.arange(ahead)) % len(self.gridded.cycle)
         # The components of anomalies have no mean cycle but for rounding, which is taken out.

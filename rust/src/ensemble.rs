@@ -15,9 +15,10 @@ use crate::logbook::{Logbook, Watch};
 use crate::model::lanes::{Carrier, Grid, State};
 use crate::model::{Model, OnPiece, Problem, Solver};
 use crate::statistics::Maps;
+use crate::wind::fields::FieldWinds;
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
-use crate::wind::{Sampling, WindGenerator};
+use crate::wind::{Sampling, Wind, WindGenerator};
 
 /// Everything about a scenario but its wind.
 pub struct Scenario {
@@ -141,9 +142,27 @@ pub enum Winds<'a> {
     Given(&'a [&'a WindPath]),
     /// Given, on common knots.
     InMemory(&'a WindPaths),
+    /// Given, and varying in space.
+    Fields(&'a FieldWinds),
 }
 
 impl Winds<'_> {
+    /// Wind of one member, up to `end` if it is drawn.
+    pub(crate) fn wind(
+        &self,
+        member: u64,
+        end: f64,
+        sampling: Sampling,
+    ) -> Result<Box<dyn Wind + '_>, DriftError> {
+        match self {
+            Self::Fields(winds) => Ok(Box::new(winds.member(member, sampling)?)),
+            _ => match self.path(member, end, sampling)? {
+                Cow::Borrowed(path) => Ok(Box::new(path)),
+                Cow::Owned(path) => Ok(Box::new(path)),
+            },
+        }
+    }
+
     /// Wind path of one member, up to `end` if it is drawn.
     pub(crate) fn path(
         &self,
@@ -158,6 +177,11 @@ impl Winds<'_> {
             Self::Given(paths) => (paths.get(member as usize).map(|path| Cow::Borrowed(*path)))
                 .ok_or_else(|| DriftError::invalid("member", member, "it has no wind path")),
             Self::InMemory(paths) => paths.path(member as usize).map(Cow::Owned),
+            Self::Fields(_) => Err(DriftError::invalid(
+                "wind",
+                "fields",
+                "the paper's body and its expansions take a wind uniform in space",
+            )),
         }
     }
 }
@@ -315,7 +339,9 @@ impl<'a> Ensemble<'a> {
                 paths.require(0.0, self.end)?;
                 Ok(LaneWind::in_memory(paths, members.start as usize / WIDTH))
             }
-            Winds::Given(_) => Err(DriftError::invalid("winds", "paths", "they have no lanes")),
+            Winds::Given(_) | Winds::Fields(_) => {
+                Err(DriftError::invalid("winds", "paths", "they have no lanes"))
+            }
         }
     }
 

@@ -88,12 +88,13 @@ impl Fleet {
     /// Follows the first body through the whole run, whatever coast there is.
     pub fn trajectory(
         &self,
-        wind: &dyn Wind,
+        winds: &Winds,
         solver: &Solver,
         times: &[f64],
     ) -> Result<Trajectory, DriftError> {
+        let wind = winds.wind(self.first, self.end, sampling(solver))?;
         let jibes = self.jibes(self.first);
-        let drift = self.drift(self.first, wind, &jibes);
+        let drift = self.drift(self.first, wind.as_ref(), &jibes);
         let early = times.partition_point(|t| *t < drift.release.time);
         if early > 0 {
             let accepted = format!("the release is at {}", drift.release.time);
@@ -110,10 +111,7 @@ impl Fleet {
         watched: Watched,
         members: std::ops::Range<u64>,
     ) -> Vec<Member> {
-        let sampling = match solver.model {
-            Model::MeanFlow { .. } => Sampling::Coarse,
-            _ => Sampling::Fine,
-        };
+        let sampling = sampling(solver);
         let Watched { outputs, keep, maps, targets } = watched;
         members
             .into_par_iter()
@@ -126,8 +124,8 @@ impl Fleet {
                     samples: maps.map_or(&[], |maps| maps.grid().samples()),
                 };
                 let jibes = self.jibes(index);
-                let followed = winds.path(index, self.end, sampling).map(|path| {
-                    let drift = self.drift(index, path.as_ref(), &jibes);
+                let followed = winds.wind(index, self.end, sampling).map(|wind| {
+                    let drift = self.drift(index, wind.as_ref(), &jibes);
                     let log = Logbook::from_release(watch, drift.release.time);
                     member(log, |on_piece| drift.follow(solver, on_piece))
                 });
@@ -140,6 +138,14 @@ impl Fleet {
                 member
             })
             .collect()
+    }
+}
+
+/// How finely a model needs the wind.
+fn sampling(solver: &Solver) -> Sampling {
+    match solver.model {
+        Model::MeanFlow { .. } => Sampling::Coarse,
+        _ => Sampling::Fine,
     }
 }
 

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use nalgebra::Matrix2;
 use numpy::{
     Complex64, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1,
     PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArray4, PyReadwriteArray1, PyReadwriteArray2,
@@ -25,10 +26,12 @@ use crate::model::body::{Body, Line, Release};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
 use crate::statistics::{Cells, MapGrid, Maps as CoreMaps};
 use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
+use crate::wind::fields::{FieldWinds as CoreFieldWinds, WindPatterns};
+use crate::wind::hand_over::HandOver as CoreHandOver;
 use crate::wind::lanes::WindPaths as CorePaths;
 use crate::wind::path::WindPath as CorePath;
 use crate::wind::small_scale::SmallScale;
-use crate::wind::{self, Sampling};
+use crate::wind::{self, Beginning, Sampling};
 
 impl From<DriftError> for PyErr {
     fn from(error: DriftError) -> Self {
@@ -221,8 +224,10 @@ impl Bootstrap {
         Ok(Self(Arc::new(py.detach(|| CoreBootstrap::new(catalogue))?)))
     }
 
-    #[pyo3(signature = (members, steps, seed, first_member=0, phase=None))]
+    /// Winds and, of each, the record row whose successor it is: −1 where it was handed over.
+    #[pyo3(signature = (members, steps, seed, first_member=0, phase=None, hand_over=None))]
     #[expect(clippy::type_complexity, reason = "two arrays")]
+    #[expect(clippy::too_many_arguments, reason = "what names a sample")]
     fn sample<'py>(
         &self,
         py: Python<'py>,
@@ -231,16 +236,20 @@ impl Bootstrap {
         seed: u64,
         first_member: u64,
         phase: Option<usize>,
+        hand_over: Option<&HandOver>,
     ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<i64>>)> {
         let mut wind = Vec::new();
         let mut predecessor = Vec::new();
+        let beginning = Beginning { phase, hand_over: hand_over.map(|over| over.0.clone()) };
         let mut member = first_member;
         while member < first_member + members as u64 {
             let batch = member..(member + BATCH).min(first_member + members as u64);
             member = batch.end;
-            let sample = py.detach(|| wind::sample(&self.0, seed, batch, steps, phase))?;
+            let sample =
+                py.detach(|| wind::sample(&self.0, seed, batch, steps, beginning.clone()))?;
             wind.extend(sample.wind);
-            predecessor.extend(sample.predecessor.into_iter().map(|row| row as i64));
+            predecessor
+                .extend(sample.predecessor.into_iter().map(|row| row.map_or(-1, |row| row as i64)));
             py.check_signals()?;
         }
         let wind = layers(py, [members, steps], &wind)?;
@@ -264,6 +273,36 @@ impl Bootstrap {
     }
 }
 
+/// A forecast and its errors, from which a bootstrap goes on.
+#[pyclass(frozen)]
+struct HandOver(Arc<CoreHandOver>);
+
+#[pymethods]
+impl HandOver {
+    /// Calibrated anomalies [forecast, step, component] and the spread at each step; the errors'
+    /// lag-one matrix and the roots of the covariances of their innovations and of themselves.
+    #[new]
+    fn new(
+        forecasts: PyReadonlyArray3<f64>,
+        spread: PyReadonlyArray1<f64>,
+        memory: [[f64; 2]; 2],
+        innovation: [[f64; 2]; 2],
+        scale: [[f64; 2]; 2],
+    ) -> PyResult<Self> {
+        if forecasts.shape()[2] != 2 || forecasts.shape()[1] != spread.len() {
+            let found = format!("shape {:?}", forecasts.shape());
+            let accepted = format!("(forecasts, {}, 2)", spread.len());
+            return Err(DriftError::invalid("forecasts", found, accepted).into());
+        }
+        let values = forecasts.as_array();
+        let values = values.rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect();
+        let matrices = [memory, innovation, scale]
+            .map(|[first, second]| Matrix2::new(first[0], first[1], second[0], second[1]));
+        let spread = spread.as_array().to_vec();
+        Ok(Self(Arc::new(CoreHandOver::new(values, spread, matrices)?)))
+    }
+}
+
 /// Draws the wind of any member in scenario units.
 #[pyclass(frozen)]
 struct WindGenerator(wind::WindGenerator);
@@ -271,7 +310,9 @@ struct WindGenerator(wind::WindGenerator);
 #[pymethods]
 impl WindGenerator {
     #[new]
-    #[pyo3(signature = (bootstrap, step, unit, small_scale_sd, memory, substeps, lead_in, phase=None))]
+    #[pyo3(signature = (
+        bootstrap, step, unit, small_scale_sd, memory, substeps, lead_in, phase=None, hand_over=None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "one argument for each physical quantity")]
     fn new(
         bootstrap: &Bootstrap,
@@ -282,10 +323,15 @@ impl WindGenerator {
         substeps: usize,
         lead_in: usize,
         phase: Option<usize>,
+        hand_over: Option<&HandOver>,
     ) -> PyResult<Self> {
         let small_scale = SmallScale::new(small_scale_sd, memory, step, substeps)?;
-        let bootstrap = bootstrap.0.clone();
-        Ok(Self(wind::WindGenerator::new(bootstrap, small_scale, step, unit, lead_in, phase)?))
+        let generator =
+            wind::WindGenerator::new(bootstrap.0.clone(), small_scale, step, unit, lead_in, phase)?;
+        Ok(Self(match hand_over {
+            Some(hand_over) => generator.handed_over(hand_over.0.clone()),
+            None => generator,
+        }))
     }
 
     /// Times and velocities of one member's fine path, up to `end`.
@@ -573,6 +619,46 @@ impl Scenario {
     }
 }
 
+/// Winds that vary in space, of some members.
+#[pyclass(frozen)]
+struct FieldWinds(CoreFieldWinds);
+
+#[pymethods]
+impl FieldWinds {
+    /// Patterns by their spline coefficients [y, x, pattern, component] on axes (start, step,
+    /// count) of x and y; their amplitudes [member, step, pattern], from the member `first` on, at
+    /// `times` = (start, step); and a small scale (standard deviation, memory, substeps, seed).
+    #[new]
+    #[pyo3(signature = (axes, patterns, times, first, amplitudes, small_scale=None))]
+    fn new(
+        axes: [(f64, f64, usize); 2],
+        patterns: PyReadonlyArray4<f64>,
+        times: (f64, f64),
+        first: u64,
+        amplitudes: PyReadonlyArray3<f64>,
+        small_scale: Option<(f64, f64, usize, u64)>,
+    ) -> PyResult<Self> {
+        if patterns.shape()[3] != 2 || amplitudes.shape()[2] != patterns.shape()[2] {
+            let found = format!("{:?} and {:?}", patterns.shape(), amplitudes.shape());
+            return Err(DriftError::invalid("wind patterns", found, "two components each").into());
+        }
+        let values = patterns.as_array();
+        let values = values.rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect();
+        let axes = axes.map(|(start, step, count)| Axis { start, step, count });
+        let (start, step) = times;
+        let small_scale = small_scale
+            .map(|(sd, memory, substeps, seed)| {
+                SmallScale::new(sd, memory, step, substeps).map(|small| (small, seed))
+            })
+            .transpose()?;
+        let patterns = Arc::new(WindPatterns::new(axes, patterns.shape()[2], values)?);
+        let steps = amplitudes.shape()[1];
+        let amplitudes = amplitudes.as_array().iter().copied().collect();
+        let times = (start, step, steps);
+        Ok(Self(CoreFieldWinds::new(patterns, times, first, amplitudes, small_scale)?))
+    }
+}
+
 /// Bodies of any kind, each with its release.
 #[pyclass(frozen)]
 struct Fleet(CoreFleet);
@@ -647,12 +733,14 @@ impl Fleet {
     fn trajectory<'py>(
         &self,
         py: Python<'py>,
-        wind: &WindPath,
+        winds: GivenWinds,
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
         let times = times.as_array().to_vec();
-        let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
+        let paths = winds.paths();
+        let winds = winds.core(&paths);
+        let out = py.detach(|| self.0.trajectory(&winds, &solver.0, &times))?;
         trajectory_arrays(py, out)
     }
 
@@ -750,6 +838,7 @@ enum GivenWinds {
     Drawn(Py<WindGenerator>, u64),
     Paths(Vec<Py<WindPath>>),
     InMemory(Py<WindPaths>),
+    Fields(Py<FieldWinds>),
 }
 
 impl GivenWinds {
@@ -768,6 +857,7 @@ impl GivenWinds {
             }
             Self::Paths(_) => Winds::Given(paths),
             Self::InMemory(paths) => Winds::InMemory(&paths.get().0),
+            Self::Fields(winds) => Winds::Fields(&winds.get().0),
         }
     }
 }
@@ -790,7 +880,8 @@ type Fates<'py> = (
 mod _core {
     #[pymodule_export]
     use super::{
-        Bootstrap, Coast, Fleet, Maps, Scenario, Sea, Solver, WindGenerator, WindPath, WindPaths,
+        Bootstrap, Coast, FieldWinds, Fleet, HandOver, Maps, Scenario, Sea, Solver, WindGenerator,
+        WindPath, WindPaths,
     };
 
     #[pymodule_export]

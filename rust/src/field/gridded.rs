@@ -23,15 +23,15 @@ pub struct Axis {
 }
 
 /// Weights of the spline coefficients around one point of an axis: value, first, second derivative.
-struct Stencil {
-    first: usize,
-    value: [f64; 4],
-    slope: [f64; 4],
-    curvature: [f64; 4],
+pub(crate) struct Stencil {
+    pub(crate) first: usize,
+    pub(crate) value: [f64; 4],
+    pub(crate) slope: [f64; 4],
+    pub(crate) curvature: [f64; 4],
 }
 
 impl Axis {
-    fn validated(self, name: &'static str) -> Result<Self, DriftError> {
+    pub(crate) fn validated(self, name: &'static str) -> Result<Self, DriftError> {
         positive(name, self.step)?;
         if self.count != 1 && self.count < 4 {
             return Err(DriftError::invalid(
@@ -44,11 +44,11 @@ impl Axis {
     }
 
     /// Number of spline coefficients.
-    fn coefficients(&self) -> usize {
+    pub(crate) fn coefficients(&self) -> usize {
         if self.count == 1 { 1 } else { self.count + 2 }
     }
 
-    fn contains(&self, at: f64) -> bool {
+    pub(crate) fn contains(&self, at: f64) -> bool {
         self.count == 1
             || (0.0..=(self.count - 1) as f64).contains(&((at - self.start) / self.step))
     }
@@ -60,7 +60,7 @@ impl Axis {
         (cell as usize, place - cell)
     }
 
-    fn stencil(&self, at: f64) -> Stencil {
+    pub(crate) fn stencil(&self, at: f64) -> Stencil {
         if self.count == 1 {
             let constant = [1.0, 0.0, 0.0, 0.0];
             return Stencil { first: 0, value: constant, slope: [0.0; 4], curvature: [0.0; 4] };

@@ -12,7 +12,8 @@ use nalgebra::SVector;
 use num_complex::Complex64;
 
 use super::{
-    Model, OnPiece, Piece, Reach, Solver, full, harmonics, mean_flow, mean_residual, stokes_drift,
+    Model, OnPiece, Piece, Reach, Solver, full, harmonics, mean_flow, mean_residual, second_order,
+    stokes_drift,
 };
 use crate::dopri5::{Step, Work};
 use crate::error::DriftError;
@@ -171,7 +172,7 @@ impl Drift<'_> {
     }
 
     /// Times between which wind and jibes are smooth.
-    fn corners(&self) -> Vec<f64> {
+    pub(super) fn corners(&self) -> Vec<f64> {
         let (start, end) = (self.release.time, self.end);
         let inside = |t: &&f64| **t > start && **t < end;
         let mut corners: Vec<f64> =
@@ -189,9 +190,13 @@ impl Drift<'_> {
 
     /// Follows the body by the full or the averaged model.
     pub fn follow(&self, solver: &Solver, on_piece: OnPiece) -> Result<Work, DriftError> {
+        self.wind.require(self.release.time, self.end)?;
         let view = match solver.model {
             Model::Full(_) => View::Full,
             Model::MeanFlow { order: 1 } => View::Averaged,
+            Model::MeanFlow { order: 2 } => {
+                return second_order::follow(self, solver, on_piece);
+            }
             _ => {
                 return Err(DriftError::invalid(
                     "model",
@@ -200,7 +205,6 @@ impl Drift<'_> {
                 ));
             }
         };
-        self.wind.require(self.release.time, self.end)?;
         let Release { time, position, velocity } = self.release;
         let start = match view {
             View::Full => position,

@@ -69,7 +69,7 @@ impl Carrier {
     pub fn oscillating(self, problem: &Problem, reach: Reach) -> Reach {
         match self {
             Self::Velocity => reach,
-            Self::MeanDrift => super::mean_flow::oscillating(problem, 1, reach),
+            Self::MeanDrift => super::mean_flow::oscillating(problem.sea, problem.drag, 1, reach),
         }
     }
 

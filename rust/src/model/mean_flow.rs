@@ -15,22 +15,30 @@ use crate::field::{
     CMat2, CVec2, Harmonic, Harmonics, SeaField, Vec2, complex, conj, in_phase, real, scaled,
 };
 
-/// Longest step in tide periods: about two synoptic steps of the wind.
-pub(super) const MAX_STEP: f64 = 1.0;
+/// Longest step in tide periods: about four synoptic steps of the wind, whose
+/// integrals are exact within a step.
+pub(super) const MAX_STEP: f64 = 2.0;
 /// Amplitudes by harmonic; as many as the usual field has need no allocation.
 type Amplitudes = SmallVec<[CVec2; 4]>;
 const MAX_ITERATIONS: usize = 100;
 
 /// The expansion at one time and slow position.
-struct Expansion {
+pub(super) struct Expansion {
     /// `f₁ + f₂`: tidal Stokes drift, residual current and their corrections.
-    drift: Vec2,
+    pub(super) drift: Vec2,
     /// Frequencies and amplitudes of `a₁ + a₂`.
     oscillation: SmallVec<[(f64, CVec2); 4]>,
 }
 
 impl Expansion {
-    fn new(order: u8, at: &Harmonics, t: f64, omega: f64, drag: f64, forcing: Vec2) -> Self {
+    pub(super) fn new(
+        order: u8,
+        at: &Harmonics,
+        t: f64,
+        omega: f64,
+        drag: f64,
+        forcing: Vec2,
+    ) -> Self {
         let mut oscillation: SmallVec<_> =
             at.tide.iter().map(|h| (h.omega, h.excursion())).collect();
         let mut drift = mean_drift(at, t);
@@ -43,7 +51,7 @@ impl Expansion {
         Self { drift, oscillation }
     }
 
-    fn displacement(&self, t: f64) -> Vec2 {
+    pub(super) fn displacement(&self, t: f64) -> Vec2 {
         self.oscillation.iter().map(|(omega, a)| in_phase(*a, Complex64::cis(omega * t))).sum()
     }
 }
@@ -143,10 +151,12 @@ pub(super) fn slow_position(
 ) -> Result<Vec2, DriftError> {
     let mut y = x;
     for _ in 0..MAX_ITERATIONS {
-        let next = x - displacement(y)?;
+        let displacement = displacement(y)?;
+        let next = x - displacement;
         let moved = (next - y).norm();
         y = next;
-        if moved <= 4.0 * f64::EPSILON * (x.norm() + y.norm()) {
+        // The displacement counts as well: near the origin it is the largest of the three.
+        if moved <= 4.0 * f64::EPSILON * (x.norm() + y.norm() + displacement.norm()) {
             return Ok(y);
         }
     }
@@ -165,18 +175,18 @@ pub(super) fn oscillating_first(sea: &dyn SeaField, slow: Reach, answer: f64) ->
 }
 
 /// Adds bounds of `a₁ + a₂` and of its rate of change to the reach of the slow position.
-pub(super) fn oscillating(problem: &Problem, order: u8, slow: Reach) -> Reach {
+pub(super) fn oscillating(sea: &dyn SeaField, drag: f64, order: u8, slow: Reach) -> Reach {
     if order == 1 {
-        return oscillating_first(problem.sea, slow, 1.0);
+        return oscillating_first(sea, slow, 1.0);
     }
     let Reach { center, radius, speed } = slow;
-    let omega = problem.sea.omega();
-    let bounds = problem.sea.bounds(center, radius);
+    let omega = sea.omega();
+    let bounds = sea.bounds(center, radius);
     let first = bounds.tide / omega;
     let first_rate = bounds.tide + (bounds.rate + bounds.gradient * speed) / omega;
     let forcing = speed + bounds.gradient * first / 2.0 + bounds.residual;
     let rate = (bounds.rate + bounds.gradient * forcing) / omega;
-    let second = ((bounds.gradient + problem.drag) * first + bounds.residual + rate) / omega;
+    let second = ((bounds.gradient + drag) * first + bounds.residual + rate) / omega;
     // `ω·second` bounds the fast rate, since 1/l is in each amplitude; the factor covers the slow
     // change and what f₂ adds to the forcing, both a further order smaller.
     let second_rate = first_rate + 8.0 * omega * second;
@@ -242,7 +252,7 @@ impl Piece for MeanFlowPiece<'_> {
         let (wind_distance, wind_speed) = self.flow.wind.reach(self.step.t, self.step.h);
         let center = self.slow(self.step.t).0;
         let (radius, speed) = (distance + wind_distance * drag, speed + wind_speed * drag);
-        oscillating(&self.flow.problem, self.flow.order, Reach { center, radius, speed })
+        oscillating(self.flow.problem.sea, drag, self.flow.order, Reach { center, radius, speed })
     }
 }
 
@@ -278,4 +288,20 @@ pub fn follow(
         &mut None,
         |step| on_piece(&MeanFlowPiece { flow: &flow, step }),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slow_positions_near_the_origin_are_found() -> Result<(), DriftError> {
+        for k in 0..1000 {
+            let x = Vec2::new(1e-9 * f64::from(k), 0.0);
+            let a = |y: Vec2| Vec2::new(0.03, 0.02) + Vec2::new(y.y, -y.x) * 0.1;
+            let y = slow_position(x, |y| Ok(a(y)))?;
+            assert!((y + a(y) - x).norm() < 1e-16);
+        }
+        Ok(())
+    }
 }

@@ -9,6 +9,7 @@ pub mod full;
 pub mod lanes;
 pub mod mean_flow;
 pub mod paper;
+mod second_order;
 
 use std::ops::ControlFlow;
 

@@ -58,8 +58,8 @@ pub struct Catalogue {
 }
 
 impl Chain {
-    /// Row of the record whose successor gave the chain its present value.
-    pub fn predecessor(&self) -> usize {
+    /// Row of the record whose successor gave the chain its present value; none if it was handed.
+    pub fn predecessor(&self) -> Option<usize> {
         self.predecessor
     }
 }
@@ -68,8 +68,8 @@ impl Chain {
 #[derive(Debug, Clone)]
 pub struct Chain {
     state: State,
-    /// Row of the record whose successor gave the present value.
-    predecessor: usize,
+    /// Row of the record whose successor gave the present value, if one did.
+    predecessor: Option<usize>,
     phase: usize,
 }
 
@@ -266,8 +266,22 @@ impl Bootstrap {
             }
             place -= rows.len();
         }
-        let predecessor = self.catalogue.row[chosen] - 1;
+        let predecessor = Some(self.catalogue.row[chosen] - 1);
         Ok(Chain { state: self.state(chosen), predecessor, phase: self.catalogue.phase[chosen] })
+    }
+
+    /// A chain that has no values yet: as many as the order are to be handed to it, the first of
+    /// them at the given phase.
+    pub(crate) fn empty(&self, phase: usize) -> Chain {
+        let phase = (phase + self.phases() - 1) % self.phases();
+        Chain { state: [0.0; MAX_DIMENSION], predecessor: None, phase }
+    }
+
+    /// Moves the chain by one step of the record, to an anomaly that is given.
+    pub(crate) fn hand(&self, chain: &mut Chain, anomaly: Vec2) {
+        chain.state = self.shifted(&chain.state, anomaly);
+        chain.predecessor = None;
+        chain.phase = (chain.phase + 1) % self.phases();
     }
 
     /// Wind [m/s] of the chain's present state, mean cycle included.
@@ -286,7 +300,7 @@ impl Bootstrap {
         };
         let next = self.next(&chain.state, drawn, noise);
         chain.state = self.shifted(&chain.state, next);
-        chain.predecessor = self.catalogue.row[drawn];
+        chain.predecessor = Some(self.catalogue.row[drawn]);
         chain.phase = (chain.phase + 1) % self.phases();
     }
 

@@ -5,18 +5,22 @@
 //! streams, each read in the order of time.
 
 pub mod bootstrap;
+pub mod fields;
+pub mod hand_over;
 pub mod lanes;
 pub mod path;
 pub mod small_scale;
 
 use std::sync::Arc;
 
+use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::error::{DriftError, positive};
 use crate::field::Vec2;
 use bootstrap::{Bootstrap, Chain, Scratch};
+use hand_over::HandOver;
 use path::WindPath;
 use small_scale::SmallScale;
 
@@ -58,6 +62,10 @@ pub trait Wind: Sync {
     /// Wind at time `t`, position `x`; `OutsideDomain` beyond the data.
     fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError>;
 
+    /// Its Jacobian in space, and the second derivatives of each component.
+    fn derivatives(&self, t: f64, x: Vec2)
+    -> Result<(Matrix2<f64>, [Matrix2<f64>; 2]), DriftError>;
+
     /// Times where it is not smooth.
     fn knots(&self) -> &[f64];
 
@@ -70,12 +78,42 @@ impl Wind for WindPath {
         Ok(self.velocity(t))
     }
 
+    fn derivatives(
+        &self,
+        _: f64,
+        _: Vec2,
+    ) -> Result<(Matrix2<f64>, [Matrix2<f64>; 2]), DriftError> {
+        Ok((Matrix2::zeros(), [Matrix2::zeros(); 2]))
+    }
+
     fn knots(&self) -> &[f64] {
         self.times()
     }
 
     fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
         path::require_cover((self.start(), self.end()), (start, end))
+    }
+}
+
+impl<W: Wind> Wind for &W {
+    fn at(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+        (**self).at(t, x)
+    }
+
+    fn derivatives(
+        &self,
+        t: f64,
+        x: Vec2,
+    ) -> Result<(Matrix2<f64>, [Matrix2<f64>; 2]), DriftError> {
+        (**self).derivatives(t, x)
+    }
+
+    fn knots(&self) -> &[f64] {
+        (**self).knots()
+    }
+
+    fn require(&self, start: f64, end: f64) -> Result<(), DriftError> {
+        (**self).require(start, end)
     }
 }
 
@@ -93,8 +131,79 @@ pub enum Sampling {
 pub struct SynopticSample {
     /// Wind [m/s], members × steps.
     pub wind: Vec<Vec2>,
-    /// Record row whose successor gave each value, members × steps.
-    pub predecessor: Vec<usize>,
+    /// Record row whose successor gave each value, if one did, members × steps.
+    pub predecessor: Vec<Option<usize>>,
+}
+
+/// How synoptic winds begin.
+#[derive(Debug, Clone, Default)]
+pub struct Beginning {
+    /// Phase of the mean cycle at the first step; any, if none is given.
+    pub phase: Option<usize>,
+    /// What the first steps are, if not drawn from the record.
+    pub hand_over: Option<Arc<HandOver>>,
+}
+
+impl From<Option<usize>> for Beginning {
+    fn from(phase: Option<usize>) -> Self {
+        Self { phase, hand_over: None }
+    }
+}
+
+/// The synoptic wind of one member, with its random stream.
+#[derive(Debug, Clone)]
+struct Synoptic {
+    chain: Chain,
+    rng: ChaCha8Rng,
+    member: u64,
+    /// Steps that were handed over, and the error of the last, before it is scaled.
+    handed: usize,
+    error: Vec2,
+}
+
+impl Synoptic {
+    fn start(
+        bootstrap: &Bootstrap,
+        beginning: &Beginning,
+        seed: u64,
+        member: u64,
+    ) -> Result<Self, DriftError> {
+        let mut rng = stream(seed, member, Stream::Synoptic);
+        let Some(hand_over) = &beginning.hand_over else {
+            let chain = bootstrap.start(beginning.phase, &mut rng)?;
+            return Ok(Self { chain, rng, member, handed: 0, error: Vec2::zeros() });
+        };
+        let order = bootstrap.catalogue().order;
+        if hand_over.steps() < order {
+            let accepted = format!("the bootstrap goes on from {order}");
+            return Err(DriftError::invalid("forecast steps", hand_over.steps(), accepted));
+        }
+        let phase =
+            beginning.phase.filter(|phase| *phase < bootstrap.phases()).ok_or_else(|| {
+                let given = beginning.phase.map_or(String::from("none"), |phase| phase.to_string());
+                DriftError::invalid(
+                    "start phase",
+                    given,
+                    "a forecast begins at one of the record's",
+                )
+            })?;
+        let error = hand_over.start(&mut rng);
+        let mut chain = bootstrap.empty(phase);
+        bootstrap.hand(&mut chain, hand_over.anomaly(member, 0, error));
+        Ok(Self { chain, rng, member, handed: 1, error })
+    }
+
+    fn advance(&mut self, bootstrap: &Bootstrap, beginning: &Beginning, scratch: &mut Scratch) {
+        match &beginning.hand_over {
+            Some(hand_over) if self.handed < hand_over.steps() => {
+                self.error = hand_over.advance(self.error, &mut self.rng);
+                let anomaly = hand_over.anomaly(self.member, self.handed, self.error);
+                bootstrap.hand(&mut self.chain, anomaly);
+                self.handed += 1;
+            }
+            _ => bootstrap.advance(&mut self.chain, &mut self.rng, scratch),
+        }
+    }
 }
 
 /// Draws the wind of any member in a scenario's units.
@@ -108,8 +217,8 @@ pub struct WindGenerator {
     unit: f64,
     /// Steps simulated before time 0, for windows that reach back.
     lead_in: usize,
-    /// Phase of the mean cycle at the first step; any, if none is given.
-    phase: Option<usize>,
+    /// How the first of them begins.
+    beginning: Beginning,
 }
 
 impl WindGenerator {
@@ -125,19 +234,25 @@ impl WindGenerator {
     ) -> Result<Self, DriftError> {
         positive("synoptic step", step)?;
         positive("wind unit", unit)?;
-        Ok(Self { bootstrap, small_scale, step, unit, lead_in, phase })
+        let beginning = phase.into();
+        Ok(Self { bootstrap, small_scale, step, unit, lead_in, beginning })
+    }
+
+    /// The same, with the first steps (of the lead-in, if there is one) handed over.
+    #[must_use]
+    pub fn handed_over(mut self, hand_over: Arc<HandOver>) -> Self {
+        self.beginning.hand_over = Some(hand_over);
+        self
     }
 
     /// The wind of one member, ready to be drawn from `−lead_in` steps on.
     pub(crate) fn member(&self, seed: u64, member: u64) -> Result<MemberWind, DriftError> {
-        let mut synoptic = stream(seed, member, Stream::Synoptic);
         let mut coarse = stream(seed, member, Stream::SmallScale);
-        let chain = self.bootstrap.start(self.phase, &mut synoptic)?;
+        let synoptic = Synoptic::start(&self.bootstrap, &self.beginning, seed, member)?;
         Ok(MemberWind {
-            slow: self.bootstrap.wind(&chain) / self.unit,
+            slow: self.bootstrap.wind(&synoptic.chain) / self.unit,
             fast: self.small_scale.start(&mut coarse),
             fine: stream(seed, member, Stream::FinePath),
-            chain,
             synoptic,
             coarse,
         })
@@ -167,8 +282,8 @@ impl WindGenerator {
         scratch: &mut Scratch,
     ) -> Vec2 {
         let (slow, fast) = (wind.slow, wind.fast);
-        self.bootstrap.advance(&mut wind.chain, &mut wind.synoptic, scratch);
-        wind.slow = self.bootstrap.wind(&wind.chain) / self.unit;
+        wind.synoptic.advance(&self.bootstrap, &self.beginning, scratch);
+        wind.slow = self.bootstrap.wind(&wind.synoptic.chain) / self.unit;
         let (fast_next, fast_integral) = self.small_scale.advance(fast, &mut wind.coarse);
         wind.fast = fast_next;
         knots.push(slow + fast);
@@ -214,10 +329,9 @@ impl WindGenerator {
 /// What one member's wind has come to, with its random streams.
 #[derive(Debug, Clone)]
 pub(crate) struct MemberWind {
-    chain: Chain,
+    synoptic: Synoptic,
     slow: Vec2,
     fast: Vec2,
-    synoptic: ChaCha8Rng,
     coarse: ChaCha8Rng,
     fine: ChaCha8Rng,
 }
@@ -235,19 +349,19 @@ pub fn sample(
     seed: u64,
     members: std::ops::Range<u64>,
     steps: usize,
-    phase: Option<usize>,
+    beginning: impl Into<Beginning>,
 ) -> Result<SynopticSample, DriftError> {
+    let beginning = &beginning.into();
     let mut sample = SynopticSample::default();
     let mut scratch = Scratch::default();
     for member in members {
-        let mut rng = stream(seed, member, Stream::Synoptic);
-        let mut chain = bootstrap.start(phase, &mut rng)?;
+        let mut synoptic = Synoptic::start(bootstrap, beginning, seed, member)?;
         for step in 0..steps {
             if step > 0 {
-                bootstrap.advance(&mut chain, &mut rng, &mut scratch);
+                synoptic.advance(bootstrap, beginning, &mut scratch);
             }
-            sample.wind.push(bootstrap.wind(&chain));
-            sample.predecessor.push(chain.predecessor());
+            sample.wind.push(bootstrap.wind(&synoptic.chain));
+            sample.predecessor.push(synoptic.chain.predecessor());
         }
     }
     Ok(sample)

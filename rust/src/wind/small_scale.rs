@@ -98,7 +98,7 @@ impl SmallScale {
     }
 }
 
-fn normals<R: Rng>(rng: &mut R) -> Vec2 {
+pub(super) fn normals<R: Rng>(rng: &mut R) -> Vec2 {
     Vec2::new(StandardNormal.sample(rng), StandardNormal.sample(rng))
 }
 
