@@ -129,8 +129,11 @@ class GeographicScenario:
             self.coast.around(self.reference[0]).check_afloat(places + np.array(self.reference))
         if self.current is not None and len(self.current.times) > 1:
             first, last = self.current.times[[0, -1]]
-            if first > self.start or last < self.end:
-                shown = np.datetime_as_string([first, last, self.start, self.end], unit="m")
+            # An uncertain time may be before the start, but never before the origin.
+            uncertain = any(release.time_error_h > 0 for release in self._releases)
+            needed = self.origin if uncertain else self.start
+            if first > needed or last < self.end:
+                shown = np.datetime_as_string([first, last, needed, self.end], unit="m")
                 raise ScenarioError(
                     f"current: it covers {shown[0]} to {shown[1]}; the run needs {shown[2]} to "
                     f"{shown[3]}; give current.mean() (in TOML: mean = true) to use its mean"
@@ -140,7 +143,13 @@ class GeographicScenario:
     def _nominal(self) -> tuple[Floats, NDArray[np.datetime64]]:
         """Some members' release positions, relative to the reference, and times."""
         places, times, _ = self.release.sample(0, 64, 0)
-        return places - np.array(self.reference), times
+        return self._relative(places), times
+
+    def _relative(self, places: Floats) -> Floats:
+        """Positions (n, 2) relative to the reference, the short way around the globe."""
+        offset = places - np.array(self.reference)
+        offset[:, 0] -= 360 * np.round(offset[:, 0] / 360)
+        return np.asarray(offset)
 
     @cached_property
     def reference(self) -> tuple[float, float]:
@@ -148,12 +157,15 @@ class GeographicScenario:
         places, _, _ = self.release.sample(0, 64, 0)
         return round(float(places[0, 0]), 1), round(float(places[0, 1]), 1)
 
+    @property
+    def _releases(self) -> tuple[Release, ...]:
+        release = self.release
+        return (release,) if isinstance(release, Release) else release.releases
+
     @cached_property
     def start(self) -> np.datetime64:
         """Earliest release, UTC."""
-        release = self.release
-        releases = (release,) if isinstance(release, Release) else release.releases
-        return min(np.datetime64(r.start.replace(tzinfo=None), "ns") for r in releases)
+        return min(np.datetime64(r.start.replace(tzinfo=None), "ns") for r in self._releases)
 
     @cached_property
     def origin(self) -> np.datetime64:
@@ -320,8 +332,7 @@ class GeographicScenario:
         from driftcore import _core
 
         places, instants, _ = self.release.sample(first, count, seed)
-        positions = places - np.array(self.reference)
-        positions[:, 0] -= 360 * np.round(positions[:, 0] / 360)
+        positions = self._relative(places)
         times = np.clip(self.since_origin(instants), 0.0, None)
         if times.max() >= self.duration:
             raise ScenarioError(

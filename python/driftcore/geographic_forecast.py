@@ -58,7 +58,7 @@ def geographic_trajectory(
     import xarray as xr
 
     _require_geographic(scenario)
-    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    order, solver = _solver(scenario, model, order, rtol, atol)
     instants = _instants(scenario, times)
     wind: Any = (
         winds_of(scenario, path, solver, seed).core(0, 1)
@@ -126,7 +126,7 @@ def geographic_forecast(
     arguments come from: it is stored, so that `driftcore run` repeats it.
     """
     _require_geographic(scenario)
-    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    order, solver = _solver(scenario, model, order, rtol, atol)
     if model == "mean-flow":
         scenario.warn()
     seed = checked_count("seed", seed, least=0)
@@ -228,7 +228,7 @@ class GeographicForecast(Forecast):
         return self._counted(self.dataset[name].values, by)
 
     def _counted(self, times: Times, by: Any) -> Probability:
-        limit = np.datetime64("2262-01-01", "ns") if by is None else np.datetime64(by, "ns")
+        limit = np.datetime64("2262-01-01", "ns") if by is None else _utc("by", by)[0]
         # NaT is not before anything.
         return probability(int((times <= limit).sum()), self.followed)
 
@@ -298,6 +298,7 @@ class GeographicForecast(Forecast):
         """Places of stranding relative to the middle of the releases, in local degrees of arc."""
         dataset = self.dataset
         longitude = dataset["stranding_longitude"].values - dataset["release_longitude"].values
+        longitude -= 360 * np.round(longitude / 360)
         latitude = dataset["stranding_latitude"].values - dataset["release_latitude"].values
         shrink = np.cos(np.radians(dataset["release_latitude"].values))
         return np.column_stack([longitude * shrink, latitude])[self.stranded]
@@ -322,14 +323,41 @@ def _degrees(scenario: GeographicScenario, positions: Floats) -> tuple[Floats, F
     return (longitude + 180) % 360 - 180, latitude
 
 
+def _solver(
+    scenario: GeographicScenario,
+    model: ModelName,
+    order: int | None,
+    rtol: float,
+    atol: float | None,
+) -> tuple[int | None, _core.Solver]:
+    order, solver = solver_of(scenario, model, order, None, True, "A", rtol, atol)
+    if model == "paper" or order == 2:
+        raise ScenarioError(
+            f"model: {model!r} of order {order} is not accepted; on a geographic scenario it is "
+            '"full", or "mean-flow" of order 1'
+        )
+    return order, solver
+
+
+def _utc(name: str, times: Any) -> Times:
+    """Give times as UTC without a zone, shape (n,); what names no zone is UTC."""
+    import pandas as pd
+
+    values = np.atleast_1d(times)
+    try:
+        if values.ndim != 1 or not len(values) or values.dtype.kind not in "MOU":
+            raise ValueError
+        instants = pd.to_datetime(values, utc=True, format="ISO8601").tz_localize(None)
+    except (TypeError, ValueError):
+        raise ScenarioError(f"{name}: must be UTC times, datetime64") from None
+    if instants.isna().any():
+        raise ScenarioError(f"{name}: must be UTC times, datetime64")
+    return np.asarray(instants.to_numpy("datetime64[ns]"))
+
+
 def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:
     """Give UTC times as days since the origin."""
-    try:
-        instants = np.atleast_1d(np.asarray(times, dtype="datetime64[ns]"))
-    except (TypeError, ValueError):
-        raise ScenarioError("times: must be UTC times, datetime64") from None
-    if instants.ndim != 1 or not len(instants) or np.isnat(instants).any():
-        raise ScenarioError("times: must be UTC times, datetime64")
+    instants = _utc("times", times)
     if (np.diff(instants) < np.timedelta64(0, "ns")).any():
         raise ScenarioError("times: must increase")
     if instants[0] < scenario.start or instants[-1] > scenario.end:

@@ -253,6 +253,11 @@ def core_path(scenario: GeographicScenario, path: WindPath) -> _core.WindPath:
         raise ScenarioError(f"path: {type(path).__name__} is not accepted; give a WindPath")
     if path.instants is None:
         raise ScenarioError("path: its times are numbers; a geographic scenario needs datetime64")
+    first, last = path.instants[[0, -1]]
+    if first > scenario.start or last < scenario.end:
+        raise ScenarioError(
+            f"path: it covers {first} to {last}; the run needs {scenario.start} to {scenario.end}"
+        )
     return _core.WindPath(scenario.since_origin(path.instants), path.velocity)
 
 

@@ -1,4 +1,4 @@
-"""From today's wind forecast to the climate: docs/equations.md (35) and (36)."""
+"""From today's wind forecast to the climate: docs/equations.md (43) and (44)."""
 
 from __future__ import annotations
 

@@ -161,3 +161,96 @@ pub struct Watched<'a> {
     /// Shapes whose first entry is written down.
     pub targets: &'a [&'a Coast],
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::field::Vec2;
+    use crate::field::gridded::{Axis, GriddedSea, Tide};
+    use crate::model::body::Line;
+    use crate::wind::path::WindPath;
+
+    use super::*;
+
+    fn fleet() -> Result<Fleet, DriftError> {
+        let axis = Axis { start: 0.0, step: 1.0, count: 1 };
+        let still = GriddedSea::new(0.1, [axis; 3], Tide::Harmonics(0), 2, vec![0.0.into(); 2])?;
+        let release = Release { time: 0.25, position: Vec2::zeros(), velocity: None };
+        Ok(Fleet {
+            sea: Arc::new(still),
+            coast: None,
+            geometry: Geometry::Plane,
+            end: 1.0,
+            first: 10,
+            releases: vec![release, Release { time: 0.5, ..release }],
+            bodies: vec![Body { downwind: Line { slope: 1.0, offset: 0.0 }, ..Body::default() }],
+            jibing_rate: 0.0,
+            seed: 1,
+        })
+    }
+
+    fn refused(change: impl FnOnce(&mut Fleet)) -> Result<String, DriftError> {
+        let mut fleet = fleet()?;
+        change(&mut fleet);
+        Ok(fleet.validated().err().map_or_else(String::new, |error| error.to_string()))
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_by_name() -> Result<(), DriftError> {
+        assert!(fleet()?.validated().is_ok());
+        assert!(refused(|f| f.releases.clear())?.starts_with("releases: an empty list"));
+        assert!(refused(|f| f.bodies.clear())?.starts_with("bodies: an empty list"));
+        let release = "must lie in the run";
+        for time in [-0.1, 1.0, 2.0] {
+            assert!(refused(|f| f.releases[1].time = time)?.contains(release), "{time}");
+        }
+        for bad in [f64::NAN, f64::INFINITY] {
+            let finite = "must be finite";
+            assert!(refused(|f| f.releases[0].time = bad)?.contains(finite));
+            assert!(refused(|f| f.releases[1].position.y = bad)?.contains(finite));
+            let velocity = Some(Vec2::new(bad, 0.0));
+            assert!(refused(|f| f.releases[1].velocity = velocity)?.contains(finite));
+            assert!(refused(|f| f.bodies[0].response = bad)?.contains(finite));
+            assert!(refused(|f| f.bodies[0].slip = bad)?.contains(finite));
+            assert!(refused(|f| f.bodies[0].downwind.slope = bad)?.contains(finite));
+            assert!(refused(|f| f.bodies[0].crosswind.offset = bad)?.contains(finite));
+            assert!(refused(|f| f.bodies[0].jibed.slope = bad)?.contains(finite));
+            assert!(refused(|f| f.bodies[0].surface_current[1] = bad)?.contains(finite));
+        }
+        assert!(refused(|f| f.bodies[0].response = -1e-9)?.contains("must not be below 0"));
+        assert!(refused(|f| f.bodies[0].slip = -1e-9)?.contains("must not be below 0"));
+        Ok(())
+    }
+
+    /// Members count from `first`, take releases in turn, and are nowhere before their own.
+    #[test]
+    fn members_have_releases_of_their_own() -> Result<(), DriftError> {
+        let fleet = fleet()?.validated()?;
+        let wind = WindPath::new(vec![0.0, 1.0], vec![Vec2::new(2.0, 0.0); 2])?;
+        let paths = [&wind; 13];
+        let solver = Solver {
+            model: Model::Full(crate::model::Formulation::A),
+            rtol: 1e-9,
+            atol: 1e-9,
+            euler_step: None,
+        };
+        let outputs = [0.0, 0.25, 0.5, 1.0];
+        let watched = Watched { outputs: &outputs, keep: 12, maps: None, targets: &[] };
+        let members = fleet.follow(&Winds::Given(&paths), &solver, watched, 10..13);
+        for (member, release) in members.iter().zip([0.25, 0.5, 0.25]) {
+            for (x, t) in member.positions.iter().zip(outputs) {
+                if t < release {
+                    assert!(x.x.is_nan() && x.y.is_nan());
+                } else {
+                    assert!((x - Vec2::new(2.0 * (t - release), 0.0)).norm() < 1e-12);
+                }
+            }
+        }
+        // Only members below `keep` record where they are.
+        let kept: Vec<_> = members.iter().map(|member| member.positions.len()).collect();
+        assert_eq!(kept, [4, 4, 0]);
+        let paths = [&wind];
+        let early = fleet.trajectory(&Winds::Given(&paths), &solver, &[0.2]);
+        assert!(early.is_err_and(|error| error.to_string().contains("the release is at 0.25")));
+        Ok(())
+    }
+}

@@ -1,5 +1,5 @@
 //! Any floating body, from the paper's to search-and-rescue leeway, in full and averaged to order
-//! 1: equations.md (25)–(28).
+//! 1: equations.md (35)–(42).
 //!
 //! A body of response time `τ` and slip `α` moves with `X' = m + U`, `U' = (F(W) − αm − U)/τ`;
 //! for `τ = 0` it is `X' = (1 − α)m + F(W)`. `F` is the velocity that the wind alone would give
@@ -357,5 +357,187 @@ impl<const N: usize> Piece for BodyPiece<'_, N> {
                 mean_flow::oscillating_first(self.drift.sea, slow, answer)
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::field::gridded::{Axis, GriddedSea, Tide};
+    use crate::model::Formulation;
+    use crate::wind::path::WindPath;
+
+    use super::*;
+
+    /// Two constituents of one species and a current with a harmonic, of no special form.
+    fn sea() -> Result<GriddedSea, DriftError> {
+        let axis = |start, step, count| Axis { start, step, count };
+        let axes = [axis(-6.0, 1.0, 13), axis(-6.0, 1.0, 13), axis(-1.0, 1.0, 4)];
+        let channels = 6;
+        let value = |k: usize| 0.7 * (0.37 * k as f64).sin();
+        let values = (0..15 * 15 * 6 * channels)
+            .map(|k| Complex64::new(value(k), value(k * k % 1009)))
+            .collect();
+        let line = |omega, species| Harmonic { omega, species, ..Harmonic::default() };
+        let tide = Tide::Constituents(vec![line(62.8, 2), line(65.0, 2)]);
+        GriddedSea::new(0.1, axes, tide, channels, values)
+    }
+
+    fn bodies() -> [Body; 4] {
+        let line = |slope, offset| Line { slope, offset };
+        let leeway = Body {
+            downwind: line(0.4, 0.1),
+            crosswind: line(0.1, 0.2),
+            jibed: line(-0.3, -0.1),
+            surface_current: [0.1, 0.05],
+            ..Body::default()
+        };
+        let late = Body { response: 0.05, slip: 0.5, ..leeway };
+        // Above 2 a body would answer with more than the water's own motion.
+        [leeway, Body { slip: 0.3, ..leeway }, late, Body { slip: 3.0, ..late }]
+    }
+
+    fn gusts() -> Result<WindPath, DriftError> {
+        let times: Vec<f64> = (0..21).map(|k| 0.05 * f64::from(k)).collect();
+        let gust = |t: &f64| Vec2::new((9.0 * t).cos(), (13.0 * t).sin());
+        WindPath::new(times.clone(), times.iter().map(gust).collect())
+    }
+
+    const MODELS: [Model; 2] = [Model::Full(Formulation::A), Model::MeanFlow { order: 1 }];
+
+    fn solver(model: Model) -> Solver {
+        Solver { model, rtol: 1e-7, atol: 1e-7, euler_step: None }
+    }
+
+    fn drift<'a>(sea: &'a GriddedSea, wind: &'a WindPath, body: Body) -> Drift<'a> {
+        let release = Release { time: 0.0, position: Vec2::new(0.2, -0.3), velocity: None };
+        let geometry = Geometry::Plane;
+        Drift { sea, wind, geometry, body, release, end: 1.0, jibes: &[] }
+    }
+
+    /// Wherever a piece is asked, it is inside its ball and no faster than its bound.
+    #[test]
+    fn pieces_stay_within_their_reach() -> Result<(), DriftError> {
+        let (sea, wind) = (sea()?, gusts()?);
+        for geometry in [Geometry::Plane, Geometry::Sphere { latitude: 70.0 }] {
+            for body in bodies() {
+                for model in MODELS {
+                    let drift = Drift { geometry, ..drift(&sea, &wind, body) };
+                    let mut largest: f64 = 0.0;
+                    drift.follow(&solver(model), &mut |piece| {
+                        let (t, end) = piece.span();
+                        let Reach { center, radius, speed } = piece.reach();
+                        let places = (0..=40)
+                            .map(|k| piece.position(t + (end - t) * f64::from(k) / 40.0))
+                            .collect::<Result<Vec<_>, _>>()?;
+                        for x in &places {
+                            assert!((x - center).norm() <= radius * (1.0 + 1e-12));
+                            largest = largest.max((x - center).norm() / radius);
+                        }
+                        for pair in places.windows(2) {
+                            let moved = (pair[1] - pair[0]).norm() / ((end - t) / 40.0);
+                            assert!(moved <= speed * (1.0 + 1e-9), "{moved} {speed}");
+                        }
+                        Ok(ControlFlow::Continue(()))
+                    })?;
+                    // A ball a hundred times too large would be a bound as well, but of no use.
+                    assert!(largest > 0.05, "{model:?} {body:?}: {largest}");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The wind's speed at a bend or a jibe is that of the piece after it; none spans a corner.
+    #[test]
+    fn pieces_end_at_knots_and_jibes() -> Result<(), DriftError> {
+        let (sea, wind) = (sea()?, gusts()?);
+        let release = Release { time: 0.12, ..drift(&sea, &wind, bodies()[0]).release };
+        // Before the release, on a knot, a rounding error from one, and inside.
+        let jibes = [0.07, 0.2, 0.25 + 1e-15, 0.61, 0.62];
+        let drift = Drift { release, jibes: &jibes, ..drift(&sea, &wind, bodies()[0]) };
+        let corners = drift.corners();
+        assert!(corners.windows(2).all(|pair| pair[1] - pair[0] > 1e-12));
+        assert_eq!(corners.len(), 18 + 2); // knots 0.15 … 1, and 0.61 and 0.62
+        assert!(corners[0] > 0.14 && corners[corners.len() - 1] == 1.0);
+        for model in MODELS {
+            let mut ends = Vec::new();
+            drift.follow(&solver(model), &mut |piece| {
+                let (t, end) = piece.span();
+                assert!(!corners.iter().any(|corner| *corner > t && *corner < end));
+                ends.push(end);
+                Ok(ControlFlow::Continue(()))
+            })?;
+            assert!(corners.iter().all(|corner| ends.contains(corner)), "{model:?}");
+        }
+        Ok(())
+    }
+
+    /// In still water and a steady wind the velocity is the leeway of the side of the time.
+    #[test]
+    fn jibes_change_the_side_and_change_it_back() -> Result<(), DriftError> {
+        let axis = Axis { start: 0.0, step: 1.0, count: 1 };
+        let still = GriddedSea::new(0.1, [axis; 3], Tide::Harmonics(0), 2, vec![0.0.into(); 2])?;
+        let wind = WindPath::new(vec![0.0, 1.0], vec![Vec2::new(0.0, 2.0); 2])?;
+        let body = Body { surface_current: [0.0; 2], ..bodies()[0] };
+        let drift = Drift { jibes: &[0.25, 0.5, 0.8], ..drift(&still, &wind, body) };
+        // 0.4·2 + 0.1 ahead, which is north; 0.1·2 + 0.2 to the right, or 0.3·2 + 0.1 to the left.
+        let (right, left) = (Vec2::new(0.4, 0.9), Vec2::new(-0.7, 0.9));
+        for model in MODELS {
+            let mut last = Vec2::zeros();
+            drift.follow(&solver(model), &mut |piece| {
+                let (t, end) = piece.span();
+                let side = if (0.25..0.5).contains(&t) || t >= 0.8 { left } else { right };
+                for at in [t, (t + end) / 2.0, end] {
+                    assert!((piece.velocity(at)? - side).norm() < 1e-12, "{model:?} at {at}");
+                }
+                last = piece.position(end)?;
+                Ok(ControlFlow::Continue(()))
+            })?;
+            let expected = drift.release.position + right * 0.55 + left * 0.45;
+            assert!((last - expected).norm() < 1e-12, "{model:?}");
+        }
+        Ok(())
+    }
+
+    /// What a piece calls velocity is the rate of its position, in units of speed.
+    #[test]
+    fn velocity_is_the_rate_of_the_position() -> Result<(), DriftError> {
+        let (sea, wind) = (sea()?, gusts()?);
+        let geometry = Geometry::Sphere { latitude: 60.0 };
+        for body in bodies() {
+            let drift = Drift { geometry, ..drift(&sea, &wind, body) };
+            let precise = Solver { rtol: 1e-11, atol: 1e-11, ..solver(MODELS[0]) };
+            drift.follow(&precise, &mut |piece| {
+                let (t, end) = piece.span();
+                let (middle, h) = ((t + end) / 2.0, (end - t) / 20.0);
+                let rate = (piece.position(middle + h)? - piece.position(middle - h)?) / (2.0 * h);
+                let metric = geometry.metric(piece.position(middle)?)?;
+                let found = piece.velocity(middle)?.component_mul(&metric);
+                assert!((found - rate).norm() < 1e-3 * (1.0 + rate.norm()), "{found} {rate}");
+                Ok(ControlFlow::Continue(()))
+            })?;
+        }
+        Ok(())
+    }
+
+    /// A velocity at the release counts for a body that has a response time, and for no other.
+    #[test]
+    fn the_release_s_velocity_is_that_of_the_first_piece() -> Result<(), DriftError> {
+        let (sea, wind) = (sea()?, gusts()?);
+        let given = Vec2::new(0.3, -2.0);
+        for body in bodies() {
+            for model in MODELS {
+                let mut drift = drift(&sea, &wind, body);
+                drift.release.velocity = Some(given);
+                let mut first = None;
+                drift.follow(&solver(model), &mut |piece| {
+                    first = Some(piece.velocity(0.0)?);
+                    Ok(ControlFlow::Break(()))
+                })?;
+                let off = first.map_or(f64::NAN, |velocity| (velocity - given).norm());
+                assert_eq!(off < 1e-9, body.response > 0.0, "{model:?} {body:?}: {off}");
+            }
+        }
+        Ok(())
     }
 }

@@ -193,7 +193,7 @@ impl Solver {
 }
 
 /// Tidal Stokes drift `⟨∇M a⟩` of a body whose excursion in each constituent is `excursion` of it;
-/// constituents of one species beat with each other: equations.md (10), (26).
+/// constituents of one species beat with each other: equations.md (10), (40).
 fn stokes_drift(tide: &[Harmonic], t: f64, excursion: impl Fn(&Harmonic) -> CVec2) -> Vec2 {
     let mut drift = Vec2::zeros();
     for (k, moving) in tide.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The synoptic wind of the first steps, by a forecast and its errors: docs/equations.md (35)–(36).
+//! The synoptic wind of the first steps, by a forecast and its errors: docs/equations.md (43)–(44).
 
 use nalgebra::Matrix2;
 use rand::Rng;
