@@ -248,7 +248,6 @@ mod tests {
         // Only members below `keep` record where they are.
         let kept: Vec<_> = members.iter().map(|member| member.positions.len()).collect();
         assert_eq!(kept, [4, 4, 0]);
-        let paths = [&wind];
         let early = fleet.trajectory(&Winds::Given(&paths), &solver, &[0.2]);
         assert!(early.is_err_and(|error| error.to_string().contains("the release is at 0.25")));
         Ok(())
