@@ -370,10 +370,7 @@ def test_info_says_what_is_in_a_forecast(driftcore: Command) -> None:
     refused(driftcore("info", "scenario.toml"), "scenario.toml: cannot be read as NetCDF-4")
 
     driftcore("run", own_case(driftcore), "-o", "sea.nc", "-q")
-    try:
-        opened = dc.open_forecast("sea.nc")
-    except OutputError:
-        pytest.skip("open_forecast does not read forecasts on the real sea yet")
+    opened = dc.open_forecast("sea.nc")
     shown = driftcore("info", "sea.nc")
     assert (shown.code, shown.err) == (0, "")
     assert all(word in shown.out for word in ("CONTAINER-2", "stretches", "47.2000 N 4.1000 W"))
