@@ -15,7 +15,7 @@ import xarray as xr
 import driftcore as dc
 from driftcore import _core
 from driftcore.objects import LeewayLine
-from driftcore.sea import _axis, _spline_coefficients
+from driftcore.sea import spline_axis, spline_coefficients
 from reference import Body, Complexes, Floats, GriddedCurrent, GriddedTide, NaiveWind, full_body
 
 RADIUS = 6_371_008.8
@@ -52,10 +52,10 @@ def gridded(
     period: float, t: Floats, fields: Complexes, constituents: list[tuple[float, int]]
 ) -> _core.Sea:
     """Compiled sea from values (nt, nx, ny, channels)."""
-    axes = [_axis(name, values) for name, values in (("x", AXIS), ("y", AXIS), ("time", t))]
+    axes = [spline_axis(name, values) for name, values in (("x", AXIS), ("y", AXIS), ("time", t))]
     coefficients = np.swapaxes(fields, 1, 2).astype(complex)
     for dimension in range(3):
-        coefficients = _spline_coefficients(coefficients, dimension)
+        coefficients = spline_coefficients(coefficients, dimension)
     coefficients = np.ascontiguousarray(coefficients)
     if not constituents:
         return _core.Sea.gridded(period, axes, 0, coefficients)
