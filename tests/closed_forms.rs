@@ -394,8 +394,7 @@ fn steps_are_limited_by_the_tide() {
         assert!(run.is_ok());
         let tides = match model {
             Model::Full(_) => 0.1,
-            Model::Paper { .. } => 1.0,
-            Model::MeanFlow { .. } => 2.0,
+            Model::Paper { .. } | Model::MeanFlow { .. } => 1.0,
         };
         let limit = tides * PI;
         assert!((longest - limit).abs() < 1e-9, "{model:?}: {longest}");

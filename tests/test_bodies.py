@@ -145,9 +145,7 @@ def test_other_models_are_refused() -> None:
         _core.Solver.mean_flow(2, 1e-8, 1e-8, None),
         _core.Solver.paper(1, 0.05, False, 1e-8, 1e-8, None),
     ):
-        with pytest.raises(
-            ValueError, match="other bodies have the full model and mean-flow order 1"
-        ):
+        with pytest.raises(ValueError, match=r"others? (bodies )?have .*order 1"):
             drift.trajectory(random_winds(1)[0], solver, np.ones(1))
 
 

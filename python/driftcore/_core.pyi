@@ -182,7 +182,7 @@ class FieldWinds:
         small_scale: tuple[float, float, int, int] | None = None,
     ) -> FieldWinds: ...
 
-_Winds = tuple[WindGenerator, int] | list[WindPath] | WindPaths | FieldWinds
+_Winds = tuple[WindGenerator, int] | WindPath | list[WindPath] | WindPaths | FieldWinds
 
 @final
 class Fleet:

@@ -44,7 +44,7 @@ class Winds(Protocol):
 
 
 def winds_of(
-    scenario: GeographicScenario, wind: GeographicWind, solver: _core.Solver, seed: int
+    scenario: GeographicScenario, wind: GeographicWind | None, solver: _core.Solver, seed: int
 ) -> Winds:
     """Give the winds of an ensemble.
 
@@ -53,6 +53,8 @@ def winds_of(
     ScenarioError
         It is none of the winds known, or does not cover the run.
     """
+    if wind is None:
+        raise ScenarioError("wind: is missing; the real sea needs a wind of its own")
     if isinstance(wind, LocalGridBootstrap):
         return _Uniform(scenario, wind, solver, seed)
     if isinstance(wind, HandOver):

@@ -836,6 +836,7 @@ fn trajectory_arrays(py: Python<'_>, out: Trajectory) -> PyResult<Followed<'_>> 
 #[derive(FromPyObject)]
 enum GivenWinds {
     Drawn(Py<WindGenerator>, u64),
+    One(Py<WindPath>),
     Paths(Vec<Py<WindPath>>),
     InMemory(Py<WindPaths>),
     Fields(Py<FieldWinds>),
@@ -845,6 +846,7 @@ impl GivenWinds {
     /// The paths, where they are given one by one.
     fn paths(&self) -> Vec<&CorePath> {
         match self {
+            Self::One(path) => vec![&path.get().0],
             Self::Paths(paths) => paths.iter().map(|path| &path.get().0).collect(),
             _ => Vec::new(),
         }
@@ -855,7 +857,7 @@ impl GivenWinds {
             Self::Drawn(generator, seed) => {
                 Winds::Drawn { generator: &generator.get().0, seed: *seed }
             }
-            Self::Paths(_) => Winds::Given(paths),
+            Self::One(_) | Self::Paths(_) => Winds::Given(paths),
             Self::InMemory(paths) => Winds::InMemory(&paths.get().0),
             Self::Fields(winds) => Winds::Fields(&winds.get().0),
         }

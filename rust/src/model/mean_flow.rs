@@ -15,9 +15,8 @@ use crate::field::{
     CMat2, CVec2, Harmonic, Harmonics, SeaField, Vec2, complex, conj, in_phase, real, scaled,
 };
 
-/// Longest step in tide periods: about four synoptic steps of the wind, whose
-/// integrals are exact within a step.
-pub(super) const MAX_STEP: f64 = 2.0;
+/// Longest step in tide periods: about two synoptic steps of the wind.
+pub(super) const MAX_STEP: f64 = 1.0;
 /// Amplitudes by harmonic; as many as the usual field has need no allocation.
 type Amplitudes = SmallVec<[CVec2; 4]>;
 const MAX_ITERATIONS: usize = 100;
