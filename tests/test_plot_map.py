@@ -15,9 +15,10 @@ from matplotlib.collections import LineCollection, PathCollection, QuadMesh
 from matplotlib.container import BarContainer
 from matplotlib.contour import QuadContourSet
 from matplotlib.text import Text
+from typer.testing import CliRunner
 
 import driftcore as dc
-from driftcore import plot_map
+from driftcore import cli, plot_map
 from driftcore.statistics import wilson
 
 # A coast along 2° W with a bay, and a lake behind it.
@@ -306,3 +307,19 @@ def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert held["forecast"].followed == 30
     assert isinstance(dc.open_forecast("container.nc"), dc.GeographicForecast)
     assert Path("day_20.png").stat().st_size > 10_000
+
+
+def test_all_figures_are_written(forecast: dc.GeographicForecast, tmp_path: Path) -> None:
+    maps = forecast.dataset.sizes["map_time"]
+    expected = {"paths.png", "arrival.png", *(f"presence_{k}.png" for k in range(1, maps + 1))}
+    assert {path.name for path in plot_map.save_all(forecast, tmp_path)} == expected
+    assert {path.name for path in tmp_path.iterdir()} == expected
+    with pytest.raises(dc.OutputError, match="exists"):
+        plot_map.save_all(forecast, tmp_path)
+
+
+def test_the_command_draws_them(forecast: dc.GeographicForecast, tmp_path: Path) -> None:
+    forecast.to_netcdf(tmp_path / "out.nc")
+    arguments = ["plot", str(tmp_path / "out.nc"), "-o", str(tmp_path / "figures"), "-q"]
+    assert CliRunner().invoke(cli.app, arguments).exit_code == 0
+    assert (tmp_path / "figures/paths.png").stat().st_size > 10_000

@@ -333,20 +333,36 @@ def plot(
         Path | None,
         typer.Option("--output", "-o", help="Folder for the figures; default that of the file."),
     ] = None,
+    coast: Annotated[
+        Path | None,
+        typer.Option(help="Land to draw on the real sea; default that of the package."),
+    ] = None,
     overwrite: Overwrite = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Do not list the files written.")
     ] = False,
 ) -> None:
-    """Draw the figures of a forecast: trajectories, roses, stranding times."""
-    from driftcore import plot as figures
+    """Draw the figures of a forecast.
+
+    Of the paper's case: trajectories, roses, stranding times. On the real sea: paths, arrival,
+    and a map of each map time.
+    """
+    from driftcore import plot
+    from driftcore.dataset import is_geographic
     from driftcore.files import filling
     from driftcore.forecast import open_forecast
 
     dataset = open_forecast(forecast).dataset
     target = forecast.parent if output is None else output
     with filling(target, overwrite) as folder:
-        written = figures.save_all(dataset, folder)
+        if is_geographic(dataset):
+            from driftcore import plot_map
+            from driftcore.coast import LandCoast
+
+            land = LandCoast.default() if coast is None else LandCoast.from_file(coast)
+            written = plot_map.save_all(dataset, folder, land)
+        else:
+            written = plot.save_all(dataset, folder)
     if not quiet:
         _say_written([target / path.name for path in written])
 

@@ -9,6 +9,7 @@ directions and the scale bar are true in the middle of the map.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from driftcore.plot import (
     _legend,
     _member_dim,
     _need,
+    _save,
     _share_stranded,
     _title,
     _wind_words,
@@ -52,7 +54,14 @@ if TYPE_CHECKING:
 
     from driftcore.coast import LandCoast
 
-__all__ = ["arrival_curve", "presence_map", "spaghetti", "stranding_bars", "stranding_coast"]
+__all__ = [
+    "arrival_curve",
+    "presence_map",
+    "save_all",
+    "spaghetti",
+    "stranding_bars",
+    "stranding_coast",
+]
 
 Floats = NDArray[np.float64]
 # West, east, south, north [degrees].
@@ -418,6 +427,46 @@ def arrival_curve(
         )
     _legend(axes, loc="upper left")
     return artists
+
+
+def save_all(
+    forecast: GeographicForecast | xr.Dataset,
+    folder: str | Path,
+    coast: LandCoast | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a forecast's figures as PNG files: paths, arrival, and a map of each map time.
+
+    Parameters
+    ----------
+    forecast : GeographicForecast or xarray.Dataset
+        With some members kept.
+    folder : str or pathlib.Path
+        Where to write; made if it is absent.
+    coast : LandCoast, optional
+        Land to draw.
+    overwrite : bool
+        Replace files that are there.
+
+    Returns
+    -------
+    list of pathlib.Path
+        ``paths.png``, ``arrival.png`` and, with maps, ``presence_1.png``, … in `folder`.
+
+    Raises
+    ------
+    OutputError
+        As `driftcore.plot.save_all`.
+    ScenarioError
+        The dataset is not a forecast on the real sea, or no member was kept.
+    """
+    dataset = _dataset(forecast)
+    drawn = {"paths": spaghetti(dataset, coast), "arrival": arrival_curve(dataset)}
+    if "presence" in dataset:
+        for k, time in enumerate(dataset["map_time"].values, start=1):
+            drawn[f"presence_{k}"] = presence_map(dataset, time, coast)
+    figures: dict[str, Any] = {name: artists[0].figure for name, artists in drawn.items()}
+    return _save(figures, Path(folder), overwrite)
 
 
 def _dataset(forecast: GeographicForecast | xr.Dataset) -> xr.Dataset:
