@@ -1,4 +1,5 @@
-//! Mean-flow order 2 of the paper's body in a wind that varies in space, on the plane.
+//! Mean-flow order 2 of the paper's body in a wind that varies in space, on the plane:
+//! equations.md (45)–(46).
 //!
 //! Where the wind is uniform `Q` is known exactly ([`super::mean_flow`]). Here it is a second
 //! unknown, `Q = Q̄ + q₂`: the wind's own second-order mean over the tidal excursion goes to `Q̄`,
