@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from driftcore.scenario import Scenario
 
 STATUSES = ("afloat", "stranded", "left_domain", "failed")
+STATUS_ATTRIBUTES = {
+    "long_name": "how the member ended",
+    "flag_values": np.arange(len(STATUSES), dtype=np.int8),
+    "flag_meanings": " ".join(STATUSES),
+}
 # Bytes that a NetCDF file holds besides its values, generously.
 _FILE_OVERHEAD = 10**6
 # Of times, and how many nanoseconds each is.
@@ -101,15 +106,7 @@ def forecast_dataset(
     members, kept = len(status), len(position)
     dim = "member" if kept == members else "kept_member"
     variables = {
-        "status": (
-            ("member",),
-            status,
-            {
-                "long_name": "how the member ended",
-                "flag_values": np.arange(len(STATUSES), dtype=np.int8),
-                "flag_meanings": " ".join(STATUSES),
-            },
-        ),
+        "status": (("member",), status, STATUS_ATTRIBUTES),
         "stranding_time": _variable(("member",), stranding_time, "time of stranding"),
         "stranding_position": _variable(
             ("member", "component"), stranding_position, "position of stranding"

@@ -59,7 +59,7 @@ _LEAD_IN_TIDES = 3
 # Members between two reports of progress, at least: what is shared is prepared anew for each.
 _LEAST_CHUNK = 1024
 # Small-scale steps in a tide, paper section 4.1.
-FINE_STEPS = 100
+_FINE_STEPS = 100
 
 
 def trajectory(
@@ -304,28 +304,22 @@ def forecast(
     winds.warn()
 
     fates = Fates.empty(members, keep, len(instants), len(areas))
-    failure = None
-    for first in range(0, members, chunk):
-        last = min(first + chunk, members)
-        rows = slice(first, last)
-        try:
-            failed = compiled.run(
-                winds.core,
-                solver,
-                first,
-                instants,
-                keep,
-                fates.rows(rows),
-                threads,
-                areas,
-                steps_per_tide,
-                counted,
-            )
-        except ValueError as error:
-            raise ScenarioError(str(error)) from None
-        failure = failure or failed
-        if progress is not None:
-            progress(last, members)
+
+    def follow(rows: slice, into: Fates) -> str | None:
+        return compiled.run(
+            winds.core,
+            solver,
+            rows.start,
+            instants,
+            keep,
+            into,
+            threads,
+            areas,
+            steps_per_tide,
+            counted,
+        )
+
+    failure = follow_in_chunks(fates, chunk, progress, follow)
     warn_of_failures(fates.status, failure)
 
     wind_times, kept_wind = winds.kept(keep, instants)
@@ -730,6 +724,48 @@ def _refuse_paper_options(options: dict[str, Any], wind_terms: bool) -> None:
         raise ScenarioError('wind_terms: only the model "paper" has them')
 
 
+def follow_in_chunks(
+    fates: Fates,
+    chunk: int,
+    progress: Progress | None,
+    follow: Callable[[slice, Fates], str | None],
+) -> str | None:
+    """Follow all members, some at a time; give the first failure.
+
+    Parameters
+    ----------
+    fates : Fates
+        Filled in.
+    chunk : int
+        Members at a time.
+    progress : callable, optional
+        Called with (members done, members) after each chunk.
+    follow : callable
+        Follows the members of a slice into their part of the fates; gives the first failure.
+
+    Raises
+    ------
+    ScenarioError
+        The core refuses an argument.
+    """
+    members, failure = len(fates.status), None
+    for first in range(0, members, chunk):
+        rows = slice(first, min(first + chunk, members))
+        try:
+            failed = follow(rows, fates.rows(rows))
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
+        failure = failure or failed
+        if progress is not None:
+            progress(rows.stop, members)
+    return failure
+
+
+def substeps_of(step: float, period: float) -> int:
+    """Give the number of small-scale steps in a synoptic one, both times in one unit."""
+    return max(1, math.ceil(step / (period / _FINE_STEPS) - 1e-9))
+
+
 def regular_times(duration: float, interval: float) -> Floats:
     """Regular times from 0 to the end of a run, both included, about `interval` apart."""
     return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
@@ -857,7 +893,7 @@ class Resampled:
         """`hand_over` gives what the members begin with, so many steps before time 0."""
         self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
-        substeps = max(1, math.ceil(step / (scenario.period / FINE_STEPS) - 1e-9))
+        substeps = substeps_of(step, scenario.period)
         lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
         start, self.end = solver.wind_needed(scenario.duration, scenario.period)
         if start < -_LEAD_IN_TIDES * scenario.period * (1 + 1e-9):

@@ -110,7 +110,7 @@ class GeographicScenario:
                 f"wind_current: {self.wind_current!r} is not accepted; a share of the wind from 0 "
                 "to below 1, and an angle in degrees"
             )
-        places, _ = self._nominal
+        places = self._relative(self._some_places)
         west, east, south, north = self.domain
         outside = (
             (places[:, 0] < west)
@@ -140,10 +140,9 @@ class GeographicScenario:
                 )
 
     @cached_property
-    def _nominal(self) -> tuple[Floats, NDArray[np.datetime64]]:
-        """Some members' release positions, relative to the reference, and times."""
-        places, times, _ = self.release.sample(0, 64, 0)
-        return self._relative(places), times
+    def _some_places(self) -> Floats:
+        """Release positions of some members, longitude and latitude."""
+        return self.release.sample(0, 64, 0).position
 
     def _relative(self, places: Floats) -> Floats:
         """Positions (n, 2) relative to the reference, the short way around the globe."""
@@ -154,8 +153,8 @@ class GeographicScenario:
     @cached_property
     def reference(self) -> tuple[float, float]:
         """Longitude and latitude that the coordinates of a run are counted from."""
-        places, _, _ = self.release.sample(0, 64, 0)
-        return round(float(places[0, 0]), 1), round(float(places[0, 1]), 1)
+        longitude, latitude = self._some_places[0]
+        return round(float(longitude), 1), round(float(latitude), 1)
 
     @property
     def _releases(self) -> tuple[Release, ...]:

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
-from driftcore.dataset import STATUSES, provenance, with_maps, with_targets
+from driftcore.dataset import STATUS_ATTRIBUTES, STATUSES, provenance, with_maps, with_targets
 from driftcore.errors import DriftCoreError, ScenarioError
 from driftcore.forecast import (
     Fates,
     Forecast,
     checked_count,
     default_threads,
+    follow_in_chunks,
     solver_of,
     warn_of_failures,
 )
@@ -153,30 +154,16 @@ def geographic_forecast(
     fates = Fates.empty(members, keep, len(instants), len(areas))
     release = np.full((members, 2), np.nan)
     release_time = np.full(members, np.nan)
-    failure = None
-    for first in range(0, members, chunk):
-        rows = slice(first, min(first + chunk, members))
-        number = rows.stop - first
+
+    def follow(rows: slice, into: Fates) -> str | None:
+        first, number = rows.start, rows.stop - rows.start
         fleet, release[rows], release_time[rows] = scenario.core_fleet(
             sea, coast, first, number, seed
         )
-        try:
-            failed = fleet.run(
-                winds.core(first, number),
-                solver,
-                first,
-                instants,
-                keep,
-                fates.rows(rows),
-                threads,
-                areas,
-                counted,
-            )
-        except ValueError as error:
-            raise ScenarioError(str(error)) from None
-        failure = failure or failed
-        if progress is not None:
-            progress(rows.stop, members)
+        chosen = winds.core(first, number)
+        return fleet.run(chosen, solver, first, instants, keep, into, threads, areas, counted)
+
+    failure = follow_in_chunks(fates, chunk, progress, follow)
     warn_of_failures(fates.status, failure)
     dataset = _dataset(scenario, fates, instants, release, release_time)
     dataset.attrs |= {
@@ -216,16 +203,13 @@ class GeographicForecast(Forecast):
 
     def stranding_probability(self, by: Any = None) -> Probability:
         """Probability of having stranded by a time (UTC; default: the end of the run)."""
-        return self._by("stranding_time", by)
+        return self._counted(self.dataset["stranding_time"].values, by)
 
     def entry_probability(self, target: str, by: Any = None) -> Probability:
         """Probability of having entered a target by a time (UTC; default: the end of the run)."""
         self._require_target(target)
         times = self.dataset["entry_time"].sel(target=target).values
         return self._counted(times, by)
-
-    def _by(self, name: str, by: Any) -> Probability:
-        return self._counted(self.dataset[name].values, by)
 
     def _counted(self, times: Times, by: Any) -> Probability:
         limit = np.datetime64("2262-01-01", "ns") if by is None else _utc("by", by)[0]
@@ -237,6 +221,13 @@ class GeographicForecast(Forecast):
         """Which members stranded."""
         flags: NDArray[np.bool_] = self.dataset["status"].values == STATUSES.index("stranded")
         return flags
+
+    @property
+    def _stranding_days(self) -> Floats:
+        """Time from the earliest release to each stranding [d]."""
+        start = np.datetime64(self.dataset.attrs["start"], "ns")
+        times = self.dataset["stranding_time"].values[self.stranded]
+        return np.asarray((times - start) / np.timedelta64(1, "D"))
 
     def stranding_by_stretch(self, coast: LandCoast) -> xr.Dataset:
         """Probability of stranding, and when, by stretch of a coast.
@@ -264,8 +255,7 @@ class GeographicForecast(Forecast):
         if len(points):
             stretch = coast.stretch_of(points)
         stretch = np.where(stretch < 0, len(names) - 1, stretch)
-        start = np.datetime64(dataset.attrs["start"], "ns")
-        days = (dataset["stranding_time"].values[self.stranded] - start) / np.timedelta64(1, "D")
+        days = self._stranding_days
         counts = np.bincount(stretch, minlength=len(names))
         low, high = wilson(counts, self.followed)
         levels = [0.05, 0.5, 0.95]
@@ -286,9 +276,7 @@ class GeographicForecast(Forecast):
         """Quantiles of the time from the earliest release to the stranding [d]; NaN where none."""
         import xarray as xr
 
-        start = np.datetime64(self.dataset.attrs["start"], "ns")
-        times = self.dataset["stranding_time"].values[self.stranded]
-        days = (times - start) / np.timedelta64(1, "D")
+        days = self._stranding_days
         values = np.quantile(days, levels) if len(days) else np.full(len(levels), np.nan)
         return xr.DataArray(
             values, {"quantile": list(levels)}, name="stranding_time", attrs={"units": "days"}
@@ -455,13 +443,8 @@ def _dataset(
     longitude, latitude = _degrees(scenario, fates.position)
     stranded = _degrees(scenario, fates.stranding_position)
     released = _degrees(scenario, release)
-    status = {
-        "long_name": "how the member ended",
-        "flag_values": np.arange(len(STATUSES), dtype=np.int8),
-        "flag_meanings": " ".join(STATUSES),
-    }
     variables: dict[str, Any] = {
-        "status": ("member", fates.status, status),
+        "status": ("member", fates.status, STATUS_ATTRIBUTES),
         "stranding_time": (
             "member",
             scenario.instants(fates.stranding_time),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from driftcore import _core
 from driftcore.errors import DriftCoreWarning, ScenarioError
-from driftcore.forecast import FINE_STEPS, Resampled
+from driftcore.forecast import Resampled, substeps_of
 from driftcore.grids import VectorGrid
 from driftcore.hand_over import HandOver
 from driftcore.record import WindRecord, phase_of_day
@@ -220,7 +220,7 @@ class _Fields:
         self.step = record.step_h / 24
         self.phase = _phase(record, scenario)
         self.steps = math.ceil(scenario.duration / self.step - 1e-9) + 1
-        substeps = max(1, math.ceil(self.step / (scenario.period / FINE_STEPS) - 1e-9))
+        substeps = substeps_of(self.step, scenario.period)
         self.small_scale = (
             (wind.small_scale_sd, wind.bootstrap.memory_h / 24, substeps, seed)
             if wind.small_scale_sd > 0

@@ -172,7 +172,7 @@ impl Drift<'_> {
     }
 
     /// Times between which wind and jibes are smooth.
-    pub(super) fn corners(&self) -> Vec<f64> {
+    fn corners(&self) -> Vec<f64> {
         let (start, end) = (self.release.time, self.end);
         let inside = |t: &&f64| **t > start && **t < end;
         let mut corners: Vec<f64> =
@@ -231,33 +231,50 @@ impl Drift<'_> {
         &self,
         view: View,
         solver: &Solver,
-        mut state: SVector<f64, N>,
+        state: SVector<f64, N>,
         on_piece: OnPiece,
     ) -> Result<Work, DriftError> {
-        let max_step = self.sea.period()
-            * match view {
-                View::Full => full::MAX_STEP,
-                View::Averaged => mean_flow::MAX_STEP,
-            };
+        let longest = match view {
+            View::Full => full::MAX_STEP,
+            View::Averaged => mean_flow::MAX_STEP,
+        };
+        self.walk(
+            solver,
+            longest,
+            state,
+            |jibed, t, state| self.rates(view, t, state, jibed),
+            |jibed, step| on_piece(&BodyPiece { drift: self, view, step, jibed }),
+        )
+    }
+
+    /// Integrates from corner to corner, by steps of `longest` tides at most; `rates` and `on_step`
+    /// are told whether the body has jibed.
+    pub(super) fn walk<const N: usize>(
+        &self,
+        solver: &Solver,
+        longest: f64,
+        mut state: SVector<f64, N>,
+        rates: impl Fn(bool, f64, &SVector<f64, N>) -> Result<SVector<f64, N>, DriftError>,
+        mut on_step: impl FnMut(bool, &Step<N>) -> Result<ControlFlow<()>, DriftError>,
+    ) -> Result<Work, DriftError> {
         let mut work = Work::default();
         let (mut first_step, mut stopped) = (None, false);
         let mut t = self.release.time;
         for corner in self.corners() {
             let jibed = self.jibes.partition_point(|jibe| *jibe <= t) % 2 == 1;
-            let done = solver.integrate(
-                |t, state| self.rates(view, t, state, jibed),
+            work += solver.integrate(
+                |t, state| rates(jibed, t, state),
                 (t, corner),
                 state,
-                max_step,
+                longest * self.sea.period(),
                 &mut first_step,
                 |step| {
                     state = step.y_end;
-                    let flow = on_piece(&BodyPiece { drift: self, view, step, jibed })?;
+                    let flow = on_step(jibed, step)?;
                     stopped = flow.is_break();
-                    Ok(if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+                    Ok(flow)
                 },
             )?;
-            work += done;
             if stopped {
                 break;
             }

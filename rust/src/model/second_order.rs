@@ -5,8 +5,6 @@
 //! unknown, `Q = Q̄ + q₂`: the wind's own second-order mean over the tidal excursion goes to `Q̄`,
 //! its first-order oscillation to `q₂`. Without them the order falls back to 2.
 
-use std::ops::ControlFlow;
-
 use nalgebra::Vector4;
 use num_complex::Complex64;
 
@@ -158,29 +156,11 @@ pub(super) fn follow(
     };
     let flow = SecondOrder { drift, drag, invariant: relative + position * drag };
     let (y, q) = flow.start()?;
-    let mut state = State::new(y.x, y.y, q.x, q.y);
-    let max_step = mean_flow::MAX_STEP * drift.sea.period();
-    let mut work = Work::default();
-    let (mut first_step, mut stopped) = (None, false);
-    let mut t = t;
-    for corner in drift.corners() {
-        work += solver.integrate(
-            |t, state| flow.rates(t, state),
-            (t, corner),
-            state,
-            max_step,
-            &mut first_step,
-            |step| {
-                state = step.y_end;
-                let go_on = on_piece(&SecondOrderPiece { flow: &flow, step })?;
-                stopped = go_on.is_break();
-                Ok(if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
-            },
-        )?;
-        if stopped {
-            break;
-        }
-        t = corner;
-    }
-    Ok(work)
+    drift.walk(
+        solver,
+        mean_flow::MAX_STEP,
+        State::new(y.x, y.y, q.x, q.y),
+        |_, t, state| flow.rates(t, state),
+        |_, step| on_piece(&SecondOrderPiece { flow: &flow, step }),
+    )
 }
