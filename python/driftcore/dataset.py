@@ -159,33 +159,24 @@ def with_maps(
     def error(count: NDArray[Any]) -> NDArray[np.float64]:
         return standard_error(count, followed) if followed else share(count)
 
-    half_width = "half-width of its Wilson interval at one standard deviation"
-    variables = {
-        "presence": variable(
-            ("map_time", *cells), share(present), "probability of being afloat in the cell", "point"
-        ),
-        "presence_standard_error": variable(
-            ("map_time", *cells), error(present), f"presence: {half_width}", "point"
-        ),
-        "arrival": variable(
+    probabilities = {
+        "presence": (("map_time", *cells), present, "of being afloat in the cell", "point"),
+        "arrival": (
             ("map_time", *cells),
-            share(arrived[:-1]),
-            "probability of entering the cell for the first time within the interval",
+            arrived[:-1],
+            "of entering the cell for the first time within the interval",
             "sum",
         ),
-        "visit": variable(
-            cells,
-            share(visited),
-            "probability of entering the cell within the run, or starting there",
-        ),
-        "visit_standard_error": variable(cells, error(visited), f"visit: {half_width}"),
-        "outside": variable(
-            ("map_time",), share(outside), "probability of being afloat beyond the maps", "point"
-        ),
-        "ashore": variable(
-            ("map_time",), share(stranded), "probability of having stranded", "point"
-        ),
+        "visit": (cells, visited, "of entering the cell within the run, or starting there", None),
+        "outside": (("map_time",), outside, "of being afloat beyond the maps", "point"),
+        "ashore": (("map_time",), stranded, "of having stranded", "point"),
     }
+    half_width = "half-width of its Wilson interval at one standard deviation"
+    variables = {}
+    for name, (dims, count, event, method) in probabilities.items():
+        variables[name] = variable(dims, share(count), f"probability {event}", method)
+        told = f"{name}: {half_width}"
+        variables[f"{name}_standard_error"] = variable(dims, error(count), told, method)
     coordinates: dict[str, Any] = {}
     for name, edges in (("x", grid.x), ("y", grid.y)):
         lines = np.linspace(edges[0], edges[-1], len(edges))

@@ -39,7 +39,7 @@ from driftcore.scenario import (
     WindConfiguration,
     check_order,
 )
-from driftcore.statistics import Probability, probability
+from driftcore.statistics import Probability, probability, quantile_interval, wilson
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
@@ -362,8 +362,8 @@ class Forecast:
         `position(member, time, component)` and `wind_velocity(member, wind_time, component)` of
         the kept members (dimension `kept_member` where not all are kept). Its attributes hold the
         configuration, version and seed, enough to run it again. With maps: `presence`, `arrival`
-        (map_time, y, x), `visit(y, x)`, `outside` and `ashore(map_time)`; with targets:
-        `entry_time(member, target)`.
+        (map_time, y, x), `visit(y, x)`, `outside` and `ashore(map_time)`, each with its
+        `..._standard_error`; with targets: `entry_time(member, target)`.
     """
 
     dataset: xr.Dataset
@@ -443,8 +443,6 @@ class Forecast:
         """
         import xarray as xr
 
-        from driftcore.statistics import wilson
-
         sectors = checked_count("sectors", sectors)
         self.stranding_probability()  # refuses where no member could be followed
         places = self._places()
@@ -465,14 +463,19 @@ class Forecast:
     def stranding_time_quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> xr.DataArray:
         """Quantiles of the stranding time among the stranded members [scenario time].
 
-        NaN where none stranded.
-        """
-        import xarray as xr
+        Parameters
+        ----------
+        levels : sequence of float
+            Of the quantiles.
 
+        Returns
+        -------
+        xarray.DataArray
+            By `quantile`, NaN where none stranded; its coordinates `low` and `high` are the 95 %
+            interval of each, NaN where too few stranded to tell.
+        """
         times = self.dataset["stranding_time"].values
-        times = times[np.isfinite(times)]
-        values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
-        return xr.DataArray(values, {"quantile": list(levels)}, name="stranding_time")
+        return time_quantiles(times[np.isfinite(times)], levels)
 
     def _places(self) -> Floats:
         """Places of stranding relative to the circle's centre, or the release."""
@@ -501,6 +504,18 @@ class Forecast:
         strands = self.stranding_probability() if self.followed else "unknown"
         members = self.dataset.sizes["member"]
         return f"Forecast({members} members, probability of stranding {strands})"
+
+
+def time_quantiles(times: Floats, levels: Sequence[float], units: str = "1") -> xr.DataArray:
+    """Quantiles of times by `quantile`, with their 95 % intervals `low` and `high`."""
+    import xarray as xr
+
+    low, high = quantile_interval(times, levels)
+    coordinates = {"quantile": list(levels), "low": ("quantile", low), "high": ("quantile", high)}
+    values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
+    return xr.DataArray(
+        values, coordinates, "quantile", name="stranding_time", attrs={"units": units}
+    )
 
 
 def run(
