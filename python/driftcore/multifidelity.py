@@ -208,7 +208,7 @@ def multifidelity_probability(
         start = process_time()
         found = forecast(
             scenario,
-            wind[:size] if isinstance(wind, Sequence) else wind,
+            wind,
             members=size,
             keep=0,
             seed=seed,
