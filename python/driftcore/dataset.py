@@ -175,8 +175,8 @@ def with_maps(
     variables = {}
     for name, (dims, event, method) in mapped.items():
         told = {name: f"probability {event}", f"{name}_standard_error": f"{name}: {half_width}"}
-        for key, about in told.items():
-            variables[key] = _variable(dims, shares[key], about)
+        for key, meaning in told.items():
+            variables[key] = _variable(dims, shares[key], meaning)
             if method:
                 variables[key][2]["cell_methods"] = f"map_time: {method}"
     coordinates: dict[str, Any] = {}

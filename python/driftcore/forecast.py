@@ -7,9 +7,9 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from driftcore import _core
 from driftcore.dataset import (
     STATUSES,
+    combined,
     ensemble_attributes,
     forecast_dataset,
     is_geographic,
@@ -40,7 +41,13 @@ from driftcore.scenario import (
     WindConfiguration,
     check_order,
 )
-from driftcore.statistics import Probability, probability, quantile_interval, wilson
+from driftcore.statistics import (
+    Probability,
+    members_needed,
+    probability,
+    quantile_interval,
+    wilson,
+)
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
@@ -52,6 +59,8 @@ if TYPE_CHECKING:
     from driftcore.hand_over import HandOver
 
 Progress = Callable[[int, int], None]
+_P = ParamSpec("_P")
+_F = TypeVar("_F", bound="Forecast")
 Floats = NDArray[np.float64]
 
 # Tides of wind drawn before the release, the same for every model so that a member has one wind:
@@ -59,6 +68,10 @@ Floats = NDArray[np.float64]
 _LEAD_IN_TIDES = 3
 # Members between two reports of progress, at least: what is shared is prepared anew for each.
 _LEAST_CHUNK = 1024
+# Members of the first look at a probability, and the growth from one look to the next at least.
+FIRST_LOOK, _LEAST_GROWTH = 1000, 1.05
+# Half-width sought where none is named.
+PRECISION = 0.01
 # Small-scale steps in a tide, paper section 4.1.
 _FINE_STEPS = 100
 
@@ -155,11 +168,72 @@ def trajectory(
     return trajectory_dataset(scenario, instants, found, attributes)
 
 
+def until_precise(follow: Callable[_P, _F]) -> Callable[_P, _F]:
+    """Let a forecast be asked for members = "auto": in parts until its interval is narrow enough.
+
+    The number of members is decided a few times, each time from all that is known: where the
+    interval is too wide still, as many follow as (51) tells from its centre. Looking so seldom
+    leaves the coverage of the interval as it is (docs/trust.md).
+    """
+
+    @wraps(follow)
+    def found(*args: _P.args, **kwargs: _P.kwargs) -> _F:
+        options: dict[str, Any] = dict(kwargs)
+        if options.get("members") != "auto":
+            if options.get("precision") is not None:
+                raise ScenarioError(
+                    f"precision: {options['precision']!r} is not accepted with members = "
+                    f'{options.get("members")!r}; with members = "auto" it is'
+                )
+            return follow(*args, **kwargs)
+        if options.get("first_member"):
+            raise ScenarioError('first_member: with members = "auto" only 0 is accepted')
+        precision = options["precision"] = options.get("precision") or PRECISION
+        if not (isinstance(precision, float) and 1e-4 <= precision < 0.5):
+            raise ScenarioError(
+                f"precision: {precision!r} is not accepted; a number from 0.0001 to 0.5 is"
+            )
+        progress: Progress | None = options.get("progress")
+        parts: list[xr.Dataset] = []
+        told: dict[str, warnings.WarningMessage] = {}
+        members, wanted = 0, FIRST_LOOK
+        while True:
+
+            def report(done: int, _: int, before: int = members, planned: int = wanted) -> None:
+                if progress is not None:
+                    progress(before + done, planned)
+
+            options |= {"first_member": members, "members": wanted - members, "progress": report}
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                part = follow(*args, **options)
+            told |= {str(warning.message): warning for warning in caught}
+            parts.append(part.dataset)
+            whole = type(part)(combined(parts))
+            p = whole.stranding_probability()
+            if p.half_width <= precision:
+                break
+            members = wanted
+            center = (p.low + p.high) / 2
+            # Members that fail do not count; and a look is worth some members.
+            failed = members / p.members
+            wanted = math.ceil(
+                max(failed * members_needed(center, precision), _LEAST_GROWTH * members)
+            )
+        for warning in told.values():
+            warnings.warn(str(warning.message), warning.category, stacklevel=2)
+        return whole
+
+    return found
+
+
+@until_precise
 def forecast(
     scenario: Scenario | GeographicScenario,
     wind: LocalGridBootstrap | HandOver | Sequence[WindPath] | WindPaths | None = None,
     *,
-    members: int | None = None,
+    members: int | Literal["auto"] | None = None,
+    precision: float | None = None,
     first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
@@ -189,8 +263,12 @@ def forecast(
     wind : LocalGridBootstrap, sequence of WindPath, or WindPaths, optional
         The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate. Or the
         winds themselves, one member each. On the real sea also a `HandOver` from today's forecast.
-    members : int, optional
-        Number of members; default 1000, or as many as there are paths.
+    members : int or "auto", optional
+        Number of members; default 1000, or as many as there are paths. "auto": as many as
+        `precision` takes.
+    precision : float, optional
+        With members = "auto", the half-width of the 95 % interval of the probability of stranding
+        that is to be reached, from 0.0001 to 0.5; default 0.01.
     first_member : int
         Index of the first of them: parts of one ensemble are made apart, of the same arguments
         else, and put together by `driftcore.dataset.combined`.
@@ -277,7 +355,8 @@ def forecast(
     instants = _output_times(times, scenario.duration)
     # A part names the run from member 0 on that ends with it: the last part names the whole.
     settings = EnsembleConfiguration(
-        members=first_member + members,
+        members="auto" if precision else first_member + members,
+        precision=precision,
         seed=seed,
         model=model,
         order=order,
@@ -561,6 +640,7 @@ def planned(
             sea,
             fitted_wind(whole.wind),
             members=members.members,
+            precision=members.precision,
             model=members.model,
             order=members.order,
             seed=members.seed,
@@ -592,6 +672,7 @@ def planned(
         scenario,
         fitted_wind(configuration.wind, folder),
         members=settings.members,
+        precision=settings.precision,
         model=settings.model,
         order=settings.order,
         seed=settings.seed,
@@ -1045,14 +1126,14 @@ def _output_times(times: ArrayLike, duration: float) -> Floats:
     return np.ascontiguousarray(instants)
 
 
-def checked_count(field: str, value: int, least: int = 1) -> int:
+def checked_count(field: str, value: Any, least: int = 1) -> int:
     """Refuse what is not a whole number from `least` up."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ScenarioError(f"{field}: {value!r} is not accepted; a whole number from {least} up")
     return int(value)
 
 
-def members_of(members: int | None, first_member: int, paths: int | None = None) -> int:
+def members_of(members: int | str | None, first_member: int, paths: int | None = None) -> int:
     """Check a range of members, of as many as there are paths where the wind is given by them."""
     first = checked_count("first_member", first_member, least=0)
     if paths is None:

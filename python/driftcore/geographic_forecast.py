@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ from driftcore.forecast import (
     members_of,
     solver_of,
     time_quantiles,
+    until_precise,
     warn_of_failures,
 )
 from driftcore.geographic import GeographicScenario
@@ -111,11 +112,13 @@ def geographic_trajectory(
     return xr.Dataset(variables, {"time": ("time", scenario.instants(instants))}, attributes)
 
 
+@until_precise
 def geographic_forecast(
     scenario: GeographicScenario,
     wind: GeographicWind,
     *,
-    members: int | None = None,
+    members: int | Literal["auto"] | None = None,
+    precision: float | None = None,
     first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
@@ -138,6 +141,7 @@ def geographic_forecast(
     [longitude, latitude] points, or `Polygons`. `configuration` is the TOML text, if any, that the
     arguments come from: it is stored, so that `driftcore run` repeats it.
     """
+    del precision  # sought by what calls this
     _require_geographic(scenario)
     order, solver = _solver(scenario, model, order, rtol, atol)
     if model == "mean-flow":

@@ -91,6 +91,29 @@ def wilson(
     return low, high
 
 
+def members_needed(share: float, half_width: float, level: float = 0.95) -> int:
+    """Give the members for which the Wilson interval is so narrow.
+
+    Parameters
+    ----------
+    share : float
+        Of them that are counted, as far as it is known.
+    half_width : float
+        Half the width wanted, between 0 and 1/2.
+    level : float
+        Confidence level.
+
+    Returns
+    -------
+    int
+        The least number. Source: docs/equations.md (51).
+    """
+    variance, square = share * (1 - share), half_width**2
+    # Of z²/N, of which the half-width is a rising function.
+    spread = float(np.roots([0.25 - square, variance - 2 * square, -square]).real.max())
+    return math.ceil(deviations(level) ** 2 / spread)
+
+
 def standard_error(count: ArrayLike, members: int) -> NDArray[np.float64]:
     """Half-width of the Wilson interval at one standard deviation, for `count` of `members`.
 
