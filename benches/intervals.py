@@ -10,7 +10,8 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from statistics import median
+from time import process_time
 
 import numpy as np
 from scaling import gridded_sea, machine
@@ -18,12 +19,12 @@ from scipy import stats
 
 import driftcore as dc
 from driftcore.errors import DriftCoreWarning
+from driftcore.forecast import FIRST_LOOK, next_look
 from driftcore.markdown import table
 from driftcore.multifidelity import combined_probability
-from driftcore.statistics import quantile_interval, wilson
+from driftcore.statistics import members_needed, probability, quantile_interval, wilson
 
 PROBABILITIES = (0.02, 0.3, 0.6)
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,11 @@ class Effort:
     ensembles: int
     levels: int
     reference: int
+    timed: int
 
 
-DEFAULT = Effort(replicates=20_000, ensembles=20_000, levels=400, reference=20_000)
-QUICK = Effort(replicates=1_000, ensembles=1_000, levels=10, reference=1_000)
+DEFAULT = Effort(replicates=20_000, ensembles=20_000, levels=200, reference=5_000, timed=512)
+QUICK = Effort(replicates=1_000, ensembles=1_000, levels=10, reference=500, timed=64)
 
 
 def percent(share: float) -> str:
@@ -152,50 +154,105 @@ def optimum(variance: float, disagreement: float, cost: float) -> float:
     return variance / spent**2
 
 
-def two_levels(effort: Effort) -> str:
-    """Variance at equal cost, beside the full model alone, and bias."""
-    cases: list[tuple[str, dc.Scenario, tuple[int, int]]] = [
-        ("paper, ε = 1/200", dc.paper.scenario(epsilon=1 / 200), (2_000, 48)),
-        (
-            "gridded tide, 3 harmonics, ε = 1/200",
-            dc.Scenario(sea=gridded_sea(), epsilon=1 / 200),
-            (2_000, 48),
-        ),
+def cost_ratio(scenario: dc.Scenario, effort: Effort) -> float:
+    """Cost of a member by mean-flow over that by the full model, CPU time, in turn."""
+    ratios = []
+    for _ in range(5):
+        times = []
+        for model in ("mean-flow", "full"):
+            start = process_time()
+            dc.forecast(scenario, members=effort.timed, model=model, keep=0, threads=1)  # type: ignore[arg-type]
+            times.append(process_time() - start)
+        ratios.append(times[0] / times[1])
+    return median(ratios)
+
+
+def two_levels(name: str, scenario: dc.Scenario, effort: Effort) -> str:
+    """Variance at equal cost beside the full model alone, bias, and coverage."""
+    members = (1_000, 32)
+    # All by both models: the full one alone, and how often they disagree.
+    both = dc.multifidelity_probability(scenario, members=(effort.reference,) * 2, threads=1)
+    found = [
+        dc.multifidelity_probability(scenario, members=members, seed=1000 + k, threads=1)
+        for k in range(effort.levels)
     ]
+    estimates = np.array([one.estimate for one in found])
+    p, c = both.estimate, cost_ratio(scenario, effort)
+    apart = sum(one.gained[0] + one.lost[0] for one in (both, *found))
+    pairs = effort.reference + members[1] * effort.levels
+    v, d = p * (1 - p), apart / pairs
+    variance = float(estimates.var(ddof=1))
+    gain = v / (c * members[0] + members[1]) / variance
+    noise = gain * math.sqrt(2 / (effort.levels - 1))
+    theory = v / members[0] + d / members[1]
+    best = optimum(v, d, c)
+    error = math.sqrt(variance / effort.levels + v / effort.reference)
+    rows = [
+        ["c, median of 5", f"{c:.3f}"],
+        ["d", f"{100 * d:.3f} % ({apart} of {pairs:,})"],
+        ["optimum of the gain", f"{best:.2f}"],
+        ["gain, by the variance of the estimates", f"{gain:.2f} ± {noise:.2f}"],
+        ["of the optimum", percent(gain / best)],
+        ["gain, by p, c and d", f"{v / (c * members[0] + members[1]) / theory:.2f}"],
+        [
+            "bias",
+            f"{estimates.mean():.4f} − {p:.4f}: {(estimates.mean() - p) / error:+.1f} "
+            "standard errors",
+        ],
+        ["covered", percent(float(np.mean([one.low <= p <= one.high for one in found])))],
+    ]
+    title = f"{name}; N, n = {members[0]:,}, {members[1]}; {effort.levels} replicates"
+    return table([title, ""], rows)
+
+
+def two_levels_paper(effort: Effort) -> str:
+    """In the paper's sea, where the full model costs little."""
+    return two_levels("paper, ε = 1/200", dc.paper.scenario(epsilon=1 / 200), effort)
+
+
+def two_levels_gridded(effort: Effort) -> str:
+    """In a sea on a grid, where it costs much."""
+    scenario = dc.Scenario(sea=gridded_sea(), epsilon=1 / 200)
+    return two_levels("gridded tide of 3 harmonics, ε = 1/200", scenario, effort)
+
+
+def precision(effort: Effort) -> str:
+    """Coverage where members = "auto" chooses the end: its rule, at members drawn outright."""
+    random = np.random.default_rng(1)
     rows = []
-    for name, scenario, members in cases:
-        alone = dc.forecast(
-            scenario, members=effort.reference, seed=1, model="full", keep=0
-        ).stranding_probability()
-        found = [
-            dc.multifidelity_probability(scenario, members=members, seed=1000 + k, threads=1)
-            for k in range(effort.levels)
-        ]
-        estimates = np.array([one.estimate for one in found])
-        seconds = np.array([one.seconds for one in found])
-        cheap, dear = seconds.sum(axis=0) / np.multiply(members, effort.levels)
-        p = alone.estimate
-        v, d = p * (1 - p), float(np.mean([one.disagreement for one in found]))
-        c, spent = cheap / dear, float(seconds.sum(axis=1).mean())
-        variance = float(estimates.var(ddof=1))
-        gain, best = v * dear / spent / variance, optimum(v, d, c)
-        error = math.sqrt(variance / effort.levels + v / effort.reference)
-        rows.append(
-            [
-                name,
-                f"{members[0]:,}, {members[1]:,}",
-                f"{c:.3f}",
-                f"{100 * d:.3f} %",
-                f"{gain:.2f} ± {gain * math.sqrt(2 / (effort.levels - 1)):.2f}",
-                f"{best:.2f}",
-                percent(gain / best),
-                f"{estimates.mean():.4f} − {p:.4f} = {(estimates.mean() - p) / error:+.1f} "
-                "standard errors",
-                percent(float(np.mean([one.low <= p <= one.high for one in found]))),
-            ]
-        )
+    for half_width in (0.02, 0.01, 0.005):
+        for p in (0.005, *PROBABILITIES):
+            held, total, looks = 0, 0, 0
+            for _ in range(effort.replicates):
+                members, wanted, count = 0, FIRST_LOOK, 0
+                while wanted > members:
+                    count += int(random.binomial(wanted - members, p))
+                    members, looks = wanted, looks + 1
+                    found = probability(count, members)
+                    wanted = next_look(found, members, half_width)
+                held += found.low <= p <= found.high
+                total += members
+            rows.append(
+                [
+                    f"{half_width}",
+                    f"{p}",
+                    percent(held / effort.replicates),
+                    percent(exactly(max(FIRST_LOOK, members_needed(p, half_width)), p)),
+                    f"{total / effort.replicates:,.0f}",
+                    f"{max(FIRST_LOOK, members_needed(p, half_width)):,}",
+                    f"{looks / effort.replicates:.1f}",
+                ]
+            )
     return table(
-        ["case", "N, n", "c", "d", "gain", "optimum", "reached", "bias", "covered"],
+        [
+            "precision",
+            "p",
+            "covered",
+            "at the number needed, by summation",
+            "members, mean",
+            "needed",
+            "looks",
+        ],
         rows,
     )
 
@@ -204,7 +261,9 @@ PARTS: dict[str, Callable[[Effort], str]] = {
     "known-law": known_law,
     "real-members": real_members,
     "two-levels-by-law": two_levels_by_law,
-    "two-levels": two_levels,
+    "two-levels-paper": two_levels_paper,
+    "two-levels-gridded": two_levels_gridded,
+    "precision": precision,
 }
 
 

@@ -210,21 +210,26 @@ def until_precise(follow: Callable[_P, _F]) -> Callable[_P, _F]:
             told |= {str(warning.message): warning for warning in caught}
             parts.append(part.dataset)
             whole = type(part)(combined(parts))
-            p = whole.stranding_probability()
-            if p.half_width <= precision:
-                break
-            members = wanted
-            center = (p.low + p.high) / 2
-            # Members that fail do not count; and a look is worth some members.
-            failed = members / p.members
-            wanted = math.ceil(
-                max(failed * members_needed(center, precision), _LEAST_GROWTH * members)
+            members, wanted = (
+                wanted,
+                next_look(whole.stranding_probability(), wanted, precision),
             )
+            if wanted == members:
+                break
         for warning in told.values():
             warnings.warn(str(warning.message), warning.category, stacklevel=2)
         return whole
 
     return found
+
+
+def next_look(found: Probability, members: int, precision: float) -> int:
+    """Give the number of members to look at next: equations.md (51); no more if precise enough."""
+    if found.half_width <= precision:
+        return members
+    # Members that fail do not count.
+    needed = members_needed((found.low + found.high) / 2, precision) * members / found.members
+    return math.ceil(max(needed, _LEAST_GROWTH * members))
 
 
 @until_precise
