@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from driftcore import _core
 from driftcore.dataset import (
     STATUSES,
+    ensemble_attributes,
     forecast_dataset,
     is_geographic,
     provenance,
@@ -159,6 +160,7 @@ def forecast(
     wind: LocalGridBootstrap | HandOver | Sequence[WindPath] | WindPaths | None = None,
     *,
     members: int | None = None,
+    first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
     seed: int = 1,
@@ -189,6 +191,9 @@ def forecast(
         winds themselves, one member each. On the real sea also a `HandOver` from today's forecast.
     members : int, optional
         Number of members; default 1000, or as many as there are paths.
+    first_member : int
+        Index of the first of them: parts of one ensemble are made apart, of the same arguments
+        else, and put together by `driftcore.dataset.combined`.
     model, order, window, wind_terms, rtol, atol
         As in `trajectory`; the default is the mean-flow expansion of order 1. It and `"full"` step
         on a time grid common to all members, two tides and a tenth of one at most; a member whose
@@ -198,7 +203,7 @@ def forecast(
     seed : int
         From 0 to 2⁶⁴ − 1.
     keep : int
-        How many members' trajectories are kept, from the first on.
+        How many members' trajectories are kept, from member 0 of the ensemble on.
     times : array_like of shape (n,), optional
         Times at which they are kept; default eight per tide.
     maps : MapGrid, optional
@@ -232,6 +237,7 @@ def forecast(
             scenario,
             wind,  # type: ignore[arg-type]  # refused there by its name
             members=members,
+            first_member=first_member,
             model=model,
             order=order,
             seed=seed,
@@ -253,15 +259,11 @@ def forecast(
     winds: Resampled | _Given
     if isinstance(wind, LocalGridBootstrap):
         winds = Resampled(scenario, wind, solver, seed)
-        members = 1000 if members is None else members
+        members = members_of(members, first_member)
     else:
         paths: Any = wind  # anything else is refused by its name
         winds = _Given(scenario, paths, solver)
-        if members not in (None, len(paths)):
-            raise ScenarioError(
-                f"members: {members} is not accepted; {len(paths)} paths were given"
-            )
-        members = len(paths)
+        members = members_of(members, first_member, len(paths))
     if steps_per_tide is not None and not (
         isinstance(steps_per_tide, int | float | np.number)
         and math.isfinite(steps_per_tide)
@@ -273,8 +275,9 @@ def forecast(
     if times is None:
         times = regular_times(scenario.duration, scenario.period / 8)
     instants = _output_times(times, scenario.duration)
+    # A part names the run from member 0 on that ends with it: the last part names the whole.
     settings = EnsembleConfiguration(
-        members=members,
+        members=first_member + members,
         seed=seed,
         model=model,
         order=order,
@@ -286,7 +289,6 @@ def forecast(
     )
     threads = checked_count("threads", default_threads() if threads is None else threads)
     chunk = checked_count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
-    keep = min(keep, members)
     compiled = _compiled(scenario)
     shapes: Any = targets or {}  # of which the configuration makes polygons
     configuration = RunConfiguration(
@@ -303,13 +305,14 @@ def forecast(
         counted = maps.core(np.union1d(regular, maps.times), threads)
     winds.warn()
 
-    fates = Fates.empty(members, keep, len(instants), len(areas))
+    kept = kept_of(first_member, members, keep)
+    fates = Fates.empty(members, kept, len(instants), len(areas))
 
     def follow(rows: slice, into: Fates) -> str | None:
         return compiled.run(
             winds.core,
             solver,
-            rows.start,
+            first_member + rows.start,
             instants,
             keep,
             into,
@@ -320,11 +323,12 @@ def forecast(
         )
 
     failure = follow_in_chunks(fates, chunk, progress, follow)
-    warn_of_failures(fates.status, failure)
+    warn_of_failures(fates.status, failure, first_member)
 
-    wind_times, kept_wind = winds.kept(keep, instants)
+    wind_times, kept_wind = winds.kept(first_member, kept, instants)
     dataset = forecast_dataset(
         scenario,
+        first_member=first_member,
         status=fates.status,
         stranding_time=fates.stranding_time,
         stranding_position=fates.stranding_position,
@@ -333,19 +337,16 @@ def forecast(
         wind_times=wind_times,
         wind=kept_wind,
         attributes={
-            "title": f"Drift forecast: {scenario.name}, {members} members",
+            **ensemble_attributes(scenario.name, members),
             "model": model,
             **({} if order is None else {"order": order}),
             "seed": np.uint64(seed),
-            "members": members,
             **winds.attributes(),
             "configuration": configuration.to_toml(),
-            **provenance(f"forecast of {members} members"),
         },
     )
     if maps is not None and counted is not None:
-        followed = members - int((fates.status == STATUSES.index("failed")).sum())
-        dataset = with_maps(dataset, maps, counted.counts(), followed)
+        dataset = with_maps(dataset, maps, counted.counts())
     if areas:
         dataset = with_targets(dataset, list(configuration.targets), fates.entry_time)
     return Forecast(dataset)
@@ -921,10 +922,11 @@ class Resampled:
         """What the compiled core draws from."""
         return self.generator, self.seed
 
-    def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
-        """Give the synoptic wind [m/s] of the first `keep` members from the release on."""
+    def kept(self, first: int, count: int, instants: Floats) -> tuple[Floats, Floats]:
+        """Give the synoptic wind [m/s] of `count` members from the release on."""
         del instants
-        wind, _ = self.wind.core.sample(keep, self.lead_in + len(self.times), self.seed)
+        steps = self.lead_in + len(self.times)
+        wind, _ = self.wind.core.sample(count, steps, self.seed, first)
         return self.times, wind[:, self.lead_in :]
 
     def configuration(self) -> WindConfiguration:
@@ -992,13 +994,14 @@ class _Given:
             return self.paths.core
         return [path.core for path in self.paths]
 
-    def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
-        """Give the wind [m/s] of the first `keep` members at the output times."""
+    def kept(self, first: int, count: int, instants: Floats) -> tuple[Floats, Floats]:
+        """Give the wind [m/s] of `count` members at the output times."""
         if isinstance(self.paths, WindPaths):
-            wind = self.paths.core.velocity(keep, instants)
+            wind = self.paths.core.velocity(first + count if count else 0, instants)[first:]
         else:
-            wind = np.array([path.core.velocity(instants) for path in self.paths[:keep]])
-        return instants, wind.reshape(keep, len(instants), 2) * self.scenario.wind_unit
+            chosen = self.paths[first : first + count]
+            wind = np.array([path.core.velocity(instants) for path in chosen])
+        return instants, wind.reshape(count, len(instants), 2) * self.scenario.wind_unit
 
     def configuration(self) -> WindConfiguration:
         return WindConfiguration(record=self.attributes()["wind_label"])
@@ -1034,17 +1037,37 @@ def checked_count(field: str, value: int, least: int = 1) -> int:
     return int(value)
 
 
+def members_of(members: int | None, first_member: int, paths: int | None = None) -> int:
+    """Check a range of members, of as many as there are paths where the wind is given by them."""
+    first = checked_count("first_member", first_member, least=0)
+    if paths is None:
+        return 1000 if members is None else checked_count("members", members)
+    if first >= paths:
+        raise ScenarioError(f"first_member: {first} is not accepted; {paths} paths were given")
+    members = paths - first if members is None else checked_count("members", members)
+    if first + members > paths:
+        after = f"; {first} come before" if first else ""
+        raise ScenarioError(f"members: {members} is not accepted; {paths} paths were given{after}")
+    return members
+
+
+def kept_of(first_member: int, members: int, keep: int) -> int:
+    """Give the number of members in a range whose index is below `keep`."""
+    return min(max(keep - first_member, 0), members)
+
+
 def default_threads() -> int:
     """Give the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def warn_of_failures(status: NDArray[np.int8], first: str | None) -> None:
+def warn_of_failures(status: NDArray[np.int8], first: str | None, first_member: int = 0) -> None:
     """Warn of members that could not be followed, with the first failure."""
     failed = np.flatnonzero(status == STATUSES.index("failed"))
     if len(failed):
         warnings.warn(
-            f"{len(failed)} of {len(status)} members failed; member {failed[0]}: {first}",
+            f"{len(failed)} of {len(status)} members failed; member "
+            f"{first_member + failed[0]}: {first}",
             DriftCoreWarning,
             stacklevel=3,
         )

@@ -12,7 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
-from driftcore.dataset import STATUS_ATTRIBUTES, STATUSES, provenance, with_maps, with_targets
+from driftcore.dataset import (
+    STATUS_ATTRIBUTES,
+    STATUSES,
+    ensemble_attributes,
+    member_coordinates,
+    provenance,
+    with_maps,
+    with_targets,
+)
 from driftcore.errors import DriftCoreError, ScenarioError
 from driftcore.forecast import (
     Fates,
@@ -20,6 +28,8 @@ from driftcore.forecast import (
     checked_count,
     default_threads,
     follow_in_chunks,
+    kept_of,
+    members_of,
     solver_of,
     warn_of_failures,
 )
@@ -105,6 +115,7 @@ def geographic_forecast(
     wind: GeographicWind,
     *,
     members: int | None = None,
+    first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
     seed: int = 1,
@@ -132,13 +143,8 @@ def geographic_forecast(
         scenario.warn()
     seed = checked_count("seed", seed, least=0)
     winds = winds_of(scenario, wind, solver, seed)
-    if winds.members is None:
-        members = 1000 if members is None else checked_count("members", members)
-    elif members not in (None, winds.members):
-        raise ScenarioError(f"members: {members} is not accepted; {winds.members} paths were given")
-    else:
-        members = winds.members
-    keep = min(checked_count("keep", keep, least=0), members)
+    members = members_of(members, first_member, winds.members)
+    keep = checked_count("keep", keep, least=0)
     threads = checked_count("threads", default_threads() if threads is None else threads)
     chunk = checked_count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
     if times is None:
@@ -151,12 +157,13 @@ def geographic_forecast(
     areas = [_area(scenario, name, ring) for name, ring in (targets or {}).items()]
     counted, grid = _maps(scenario, maps, threads)
 
-    fates = Fates.empty(members, keep, len(instants), len(areas))
+    kept = kept_of(first_member, members, keep)
+    fates = Fates.empty(members, kept, len(instants), len(areas))
     release = np.full((members, 2), np.nan)
     release_time = np.full(members, np.nan)
 
     def follow(rows: slice, into: Fates) -> str | None:
-        first, number = rows.start, rows.stop - rows.start
+        first, number = first_member + rows.start, rows.stop - rows.start
         fleet, release[rows], release_time[rows] = scenario.core_fleet(
             sea, coast, first, number, seed
         )
@@ -164,23 +171,20 @@ def geographic_forecast(
         return fleet.run(chosen, solver, first, instants, keep, into, threads, areas, counted)
 
     failure = follow_in_chunks(fates, chunk, progress, follow)
-    warn_of_failures(fates.status, failure)
-    dataset = _dataset(scenario, fates, instants, release, release_time)
+    warn_of_failures(fates.status, failure, first_member)
+    dataset = _dataset(scenario, first_member, fates, instants, release, release_time)
     dataset.attrs |= {
-        "title": f"Drift forecast: {scenario.name}, {members} members",
+        **ensemble_attributes(scenario.name, members),
         "model": model,
         **({} if order is None else {"order": order}),
         "rtol": rtol,
         "seed": np.uint64(seed),
-        "members": members,
         **winds.attributes(),
         **scenario.describe(),
         "configuration": configuration,
-        **provenance(f"forecast of {members} members"),
     }
     if counted is not None and grid is not None and maps is not None:
-        followed = members - int((fates.status == STATUSES.index("failed")).sum())
-        dataset = with_maps(dataset, grid, counted.counts(), followed)
+        dataset = with_maps(dataset, grid, counted.counts())
         dataset = _geographic_maps(scenario, dataset, maps)
     if targets:
         entries = scenario.instants(fates.entry_time)
@@ -431,6 +435,7 @@ def _geographic_maps(
 
 def _dataset(
     scenario: GeographicScenario,
+    first_member: int,
     fates: Fates,
     instants: Floats,
     release: Floats,
@@ -438,11 +443,10 @@ def _dataset(
 ) -> xr.Dataset:
     import xarray as xr
 
-    members, kept = len(fates.status), len(fates.position)
-    dim = "member" if kept == members else "kept_member"
     longitude, latitude = _degrees(scenario, fates.position)
     stranded = _degrees(scenario, fates.stranding_position)
     released = _degrees(scenario, release)
+    dim, coordinates = member_coordinates(first_member, len(fates.status), len(fates.position))
     variables: dict[str, Any] = {
         "status": ("member", fates.status, STATUS_ATTRIBUTES),
         "stranding_time": (
@@ -458,13 +462,8 @@ def _dataset(
         "longitude": ((dim, "time"), longitude, _LONGITUDE),
         "latitude": ((dim, "time"), latitude, _LATITUDE),
     }
-    member_attributes = {"cf_role": "trajectory_id", "long_name": "member of the ensemble"}
-    coordinates: dict[str, Any] = {
-        "member": ("member", np.arange(members), member_attributes),
-        "time": ("time", scenario.instants(instants), {"standard_name": "time", "axis": "T"}),
-    }
-    if dim != "member":
-        coordinates[dim] = (dim, np.arange(kept), {"long_name": "member whose path was kept"})
+    about = {"standard_name": "time", "axis": "T"}
+    coordinates["time"] = ("time", scenario.instants(instants), about)
     attributes = {
         "Conventions": "CF-1.11",
         "featureType": "trajectory",
