@@ -13,7 +13,7 @@ use crate::logbook::{Logbook, Watch};
 use crate::model::body::{Body, Drift, Release};
 use crate::model::{Model, Solver};
 use crate::statistics::Maps;
-use crate::wind::{Sampling, Wind, jibes};
+use crate::wind::{MOST_MEMBERS, Sampling, Wind, jibes};
 
 /// Bodies adrift in one sea: member `first + k` is body and release `k`, or the only one.
 pub struct Fleet {
@@ -46,6 +46,9 @@ impl Fleet {
         let lists = [("releases", self.releases.len()), ("bodies", self.bodies.len())];
         if let Some((name, _)) = lists.into_iter().find(|(_, len)| *len == 0) {
             return Err(DriftError::invalid(name, "an empty list", "there must be one at least"));
+        }
+        if self.first >= MOST_MEMBERS {
+            return Err(DriftError::invalid("first", self.first, "members are numbered to 2⁶²"));
         }
         finite("jibing rate", &[self.jibing_rate])?;
         if self.jibing_rate * self.end > MOST_JIBES {

@@ -588,7 +588,7 @@ impl Scenario {
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
-        let times = output_times(&times)?;
+        let times = output_times(&times, self.0.duration)?;
         let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
         trajectory_arrays(py, out)
     }
@@ -614,7 +614,7 @@ impl Scenario {
         steps_per_tide: Option<f64>,
         maps: Option<&Maps>,
     ) -> PyResult<Option<String>> {
-        let times = output_times(&times)?;
+        let times = output_times(&times, self.0.duration)?;
         let paths = winds.paths();
         let winds = winds.core(&paths);
         let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
@@ -745,7 +745,7 @@ impl Fleet {
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
-        let times = output_times(&times)?;
+        let times = output_times(&times, self.0.end)?;
         let paths = winds.paths();
         let winds = winds.core(&paths);
         let out = py.detach(|| self.0.trajectory(&winds, &solver.0, &times))?;
@@ -768,7 +768,7 @@ impl Fleet {
         targets: Vec<Py<Coast>>,
         maps: Option<&Maps>,
     ) -> PyResult<Option<String>> {
-        let times = output_times(&times)?;
+        let times = output_times(&times, self.0.end)?;
         let paths = winds.paths();
         let winds = winds.core(&paths);
         let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
@@ -791,22 +791,22 @@ fn checked_threads(threads: usize) -> Result<usize, DriftError> {
     Err(DriftError::invalid("threads", threads, format!("it must be from 1 to {MOST_THREADS}")))
 }
 
-/// Random streams are numbered by four times the member.
-const MOST_MEMBER: u64 = 1 << 62;
-
 fn member_range(first: u64, members: usize) -> Result<std::ops::Range<u64>, DriftError> {
     match first.checked_add(members as u64) {
-        Some(end) if end <= MOST_MEMBER => Ok(first..end),
+        Some(end) if end <= wind::MOST_MEMBERS => Ok(first..end),
         _ => Err(DriftError::invalid("member", first, "members are numbered to 2⁶²")),
     }
 }
 
-/// Output times, which must not decrease.
-fn output_times(times: &PyReadonlyArray1<f64>) -> Result<Vec<f64>, DriftError> {
+/// Output times, which must lie within the run and not decrease.
+fn output_times(times: &PyReadonlyArray1<f64>, end: f64) -> Result<Vec<f64>, DriftError> {
     let times = times.as_array().to_vec();
     finite("times", &times)?;
     if let Some(pair) = times.windows(2).find(|pair| pair[1] < pair[0]) {
         return Err(DriftError::invalid("times", pair[1], "they must not decrease"));
+    }
+    if let Some(bad) = times.iter().find(|t| !(0.0..=end).contains(*t)) {
+        return Err(DriftError::invalid("times", bad, format!("the run covers [0, {end}]")));
     }
     Ok(times)
 }

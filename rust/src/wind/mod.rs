@@ -36,6 +36,9 @@ enum Stream {
 /// A century of tides has 70,000, and each a hundred knots.
 const MOST_KNOTS: f64 = 2e7;
 
+/// Streams are numbered by four times the member.
+pub(crate) const MOST_MEMBERS: u64 = 1 << 62;
+
 /// Generator keyed by (seed, member, stream): no member's numbers depend on another's.
 fn stream(seed: u64, member: u64, stream: Stream) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -171,6 +174,9 @@ impl Synoptic {
         seed: u64,
         member: u64,
     ) -> Result<Self, DriftError> {
+        if member >= MOST_MEMBERS {
+            return Err(DriftError::invalid("member", member, "members are numbered to 2⁶²"));
+        }
         let mut rng = stream(seed, member, Stream::Synoptic);
         let Some(hand_over) = &beginning.hand_over else {
             let chain = bootstrap.start(beginning.phase, &mut rng)?;
@@ -250,8 +256,8 @@ impl WindGenerator {
 
     /// The wind of one member, ready to be drawn from `−lead_in` steps on.
     pub(crate) fn member(&self, seed: u64, member: u64) -> Result<MemberWind, DriftError> {
-        let mut coarse = stream(seed, member, Stream::SmallScale);
         let synoptic = Synoptic::start(&self.bootstrap, &self.beginning, seed, member)?;
+        let mut coarse = stream(seed, member, Stream::SmallScale);
         Ok(MemberWind {
             slow: self.bootstrap.wind(&synoptic.chain) / self.unit,
             fast: self.small_scale.start(&mut coarse),
