@@ -4,7 +4,7 @@
 use super::bootstrap::Scratch;
 use super::path::{WindPath, require_cover};
 use super::{MemberWind, Sampling, WindGenerator};
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
 use crate::lanes::{LaneVec2, Lanes, WIDTH, lane, set_lane};
 
@@ -28,6 +28,7 @@ impl WindPaths {
         velocity: impl Fn(usize, usize) -> Vec2,
     ) -> Result<Self, DriftError> {
         positive("wind paths' spacing", spacing)?;
+        finite("wind paths' start", &[start, start + knots as f64 * spacing])?;
         if members == 0 || knots < 2 {
             return Err(DriftError::invalid(
                 "wind paths",
@@ -36,13 +37,17 @@ impl WindPaths {
             ));
         }
         let groups = members.div_ceil(WIDTH);
-        let mut blocks = vec![[Lanes::ZERO; 2]; groups * knots];
+        let count = product("wind paths", &[groups, knots])?;
+        let mut blocks = room("wind paths", count)?;
+        blocks.resize(count, [Lanes::ZERO; 2]);
         for (group, block) in blocks.chunks_exact_mut(knots).enumerate() {
             for (knot, values) in block.iter_mut().enumerate() {
                 for place in 0..WIDTH {
                     let member = group * WIDTH + place;
                     if member < members {
-                        set_lane(values, place, velocity(member, knot));
+                        let wind = velocity(member, knot);
+                        finite("wind paths' velocity", wind.as_slice())?;
+                        set_lane(values, place, wind);
                     }
                 }
             }
