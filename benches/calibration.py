@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +47,10 @@ def embedded(years: int, seed: int = 1) -> dc.WindRecord:
     return dc.read_record(synthetic_record(years, seed), (6, 7, 8))
 
 
-def fresh(years: int) -> Folds:
-    """Summers of the embedded climate, and the bootstrap of twenty others."""
-    climate = dc.LocalGridBootstrap.fit(embedded(20), h=H)
+def fresh(years: int, factor: float = 1.0) -> Folds:
+    """Summers of the embedded climate, and the bootstrap of twenty others, times a factor."""
+    known = embedded(20)
+    climate = dc.LocalGridBootstrap.fit(replace(known, velocity=factor * known.velocity), h=H)
     record = embedded(years, FRESH)
     for season in np.unique(record.season):
         yield record._keep(record.season == season), climate
@@ -162,7 +164,7 @@ def main() -> None:
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", DriftCoreWarning)
     quick = arguments.quick
-    members = 100 if quick else 300
+    members = 100 if quick else 200
     real = dc.read_record(arguments.record, (6, 7, 8)) if arguments.record.is_file() else None
     if real is None:
         print(f"The real record is not at {arguments.record}: that part is left out.\n")
@@ -170,7 +172,7 @@ def main() -> None:
     def by_season(record: dc.WindRecord, **fit: Any) -> Folds:
         return hindcast.leave_one_season_out(record, **fit)
 
-    years = 8 if quick else 60
+    years = 8 if quick else 40
     cases = {"synthetic truth, summers never seen": (lambda: fresh(years), 11)}
     record = embedded(6 if quick else 20)
     cases["synthetic record, one summer left out"] = (lambda: by_season(record, h=H), 6)
@@ -205,6 +207,16 @@ def main() -> None:
                 ]
             )
             print(*rows[-1], sep=" | ", flush=True)
+    errs, must_fail = found[next(iter(cases)), "wind so far"][0], {}
+    odds = errs["probability"] ** 2
+    sharpened = odds / (odds + (1 - errs["probability"]) ** 2)
+    must_fail["odds squared: too sure"] = errs.assign(probability=sharpened)
+    part = forecasts(fresh(years, 1.15), every_days=11, members=members)
+    must_fail["wind of the climate 15 % too strong"] = verify(part)[0]
+    for name, events in must_fail.items():
+        groups = np.broadcast_to(events["season"].to_numpy()[:, None], events["happened"].shape)
+        wrong = verification.reliability(events["probability"], events["happened"], 10, groups)
+        print(f"Must not pass: {name}: p = {wrong.attrs['p_value']:.4f}", flush=True)
     head = ["truth", "known at the release", "summers", "releases", "bins in their bands", "p"]
     head += ["Brier", "reliability", "resolution", "uncertainty", "skill", "p, ranks"]
     print("\n" + table(head, rows) + "\n")
@@ -272,7 +284,8 @@ def draw(found: dict[str, Any], skills: dict[str, Any], folder: Path) -> None:
             axes,
         )
         axes.axvline(HORIZON / 4, color="0.5", linewidth=0.8, linestyle=":")
-        axes.text(HORIZON / 4 + 0.2, 0.03, "horizon", fontsize=plot._TINY, color="0.35")
+        axes.text(HORIZON / 4 - 0.2, 1.09, "horizon", ha="right", fontsize=plot._SMALL, color="0.3")
+        axes.set(ylim=(0, 1.2), xticks=np.arange(0, 21, 5))
         axes.set_title(title, fontsize=plot._TITLE)
         axes.label_outer()
     figures = {"reliability": diagrams, "pit": ranks, "hand_over_skill": curves}

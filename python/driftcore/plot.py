@@ -523,7 +523,7 @@ def reliability_diagram(dataset: xr.Dataset, ax: Axes | None = None) -> list[Art
         dataset[name].to_numpy() for name in ("forecast", "observed", "low", "high", "count")
     )
     outside = (observed < low) | (observed > high)
-    artists: list[Artist] = axes.plot([0, 1], [0, 1], color=_INK, linewidth=0.8, linestyle="--")
+    artists: list[Artist] = [*axes.plot([0, 1], [0, 1], color=_INK, linewidth=0.8, linestyle="--")]
     bars = axes.vlines(forecast, low, high, color=_SKY, linewidth=6.0, alpha=0.6)
     bars.set_label(f"{100 * dataset.attrs['level']:g} % if calibrated")
     artists.append(bars)
@@ -541,7 +541,8 @@ def reliability_diagram(dataset: xr.Dataset, ax: Axes | None = None) -> list[Art
                 color=colour,
                 label=label,
             )
-    axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal")
+    fifths = np.arange(6) / 5
+    axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal", xticks=fifths, yticks=fifths)
     _labels(axes, "forecast probability", "share that happened")
     _grid(axes)
     _legend(axes, loc="upper left", borderaxespad=0.2, handletextpad=0.4)
@@ -584,7 +585,8 @@ def pit_histogram(dataset: xr.Dataset, ax: Axes | None = None) -> list[Artist]:
     bars = axes.vlines(middle, low, high, color=_SKY, linewidth=6.0, alpha=0.7, zorder=2)
     bars.set_label(f"{100 * dataset.attrs['level']:g} % if calibrated")
     artists.append(bars)
-    axes.set(xlim=(0, 1), ylim=(0, 1.35 * max(density.max(), high.max())))
+    axes.set(xlim=(-0.02, 1.02), ylim=(0, 1.3 * max(density.max(), high.max())))
+    axes.set_xticks(np.arange(6) / 5)
     _labels(axes, "rank among the members", "density")
     _legend(axes, loc="upper left", borderaxespad=0.2)
     return artists

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Draws of the calibrated case; of so few groups that they have fewer signs, all are taken.
-_DRAWS = 4096
+# Draws of groups (of so few that they have fewer signs, all are taken), and of single cases.
+_DRAWS, _CASE_DRAWS = 4096, 1000
 
 
 @dataclass(frozen=True)
@@ -140,18 +140,19 @@ def reliability(
     count = np.bincount(place, minlength=size)
     used = np.flatnonzero(count)
     random = np.random.default_rng(seed)
+    chance: Floats
     if groups is None:
-        chance = np.empty((_DRAWS, size))
-        for k in range(_DRAWS):
+        chance = np.empty((_CASE_DRAWS, size))
+        for k in range(_CASE_DRAWS):
             drawn = random.random(len(p)) < p
             chance[k] = np.bincount(place, drawn - p, size)
-        members = count
+        within = count
     else:
         group, number = _grouped(groups, p.shape, np.shape(probability))
         cell = group * size + place
         sums = np.bincount(cell, o - p, number * size).reshape(number, size)
         chance = _signs(number, random) @ sums
-        members = (np.bincount(cell, minlength=number * size).reshape(number, size) > 0).sum(axis=0)
+        within = (np.bincount(cell, minlength=number * size).reshape(number, size) > 0).sum(axis=0)
     deviation = np.bincount(place, o - p, size)
     parts = brier(p, o, edges)
     mean = np.bincount(place, p, size)[used] / count[used]
@@ -163,7 +164,7 @@ def reliability(
             "low": ("bin", np.clip(mean + low, 0, 1)),
             "high": ("bin", np.clip(mean + high, 0, 1)),
             "count": ("bin", count[used]),
-            "groups": ("bin", members[used]),
+            "groups": ("bin", within[used]),
         },
         {"bin": (edges[used] + edges[used + 1]) / 2},
         {
@@ -239,7 +240,7 @@ def pit(
     expected = len(value) / bins
     if groups is None:
         share = np.full(bins, 1 / bins)
-        chance = random.multinomial(len(value), share, _DRAWS) - expected
+        chance = random.multinomial(len(value), share, _CASE_DRAWS) - expected
     else:
         group, number = _grouped(groups, value.shape, truth.shape)
         sums = np.bincount(group * bins + place, minlength=number * bins).reshape(number, bins)
@@ -341,23 +342,24 @@ def score_ratio(
 # What chance does
 
 
-def _signs(groups: int, random: np.random.Generator) -> Integers:
+def _signs(groups: int, random: np.random.Generator) -> Floats:
     """Signs of the groups, (draws, groups): all there are, or some of them."""
     if 2**groups <= _DRAWS:
-        return 1 - 2 * (np.arange(2**groups)[:, None] >> np.arange(groups) & 1)
-    drawn = random.choice(np.array([-1, 1]), (_DRAWS, groups))
+        turned = np.arange(2**groups)[:, None] >> np.arange(groups) & 1
+        return 1 - 2 * turned.astype(np.float64)
+    drawn = random.choice(np.array([-1.0, 1.0]), (_DRAWS, groups))
     drawn[0] = 1  # what was seen is one of them
     return drawn
 
 
-def _band(chance: Floats, level: float) -> Floats:
+def _band(chance: NDArray[Any], level: float) -> Floats:
     """Bounds of the draws (draws, bins) bin by bin: no fewer than `level` of them lie within."""
     tail = (1 - level) / 2
     low = np.quantile(chance, tail, axis=0, method="lower")
     return np.stack([low, np.quantile(chance, 1 - tail, axis=0, method="higher")])
 
 
-def _p_value(deviation: Floats, chance: Floats, count: Any) -> float:
+def _p_value(deviation: NDArray[Any], chance: NDArray[Any], count: NDArray[Any]) -> float:
     """Share of the draws whose squared deviations weigh as much as those seen."""
     weight = 1 / count
     seen = (deviation**2 * weight).sum()
@@ -385,7 +387,7 @@ def _checked(probability: ArrayLike, happened: ArrayLike) -> tuple[Floats, Float
 
 def _binned(p: Floats, bins: int | ArrayLike) -> tuple[Integers, Floats]:
     """Bin of each probability, and the bins' edges."""
-    edges = np.linspace(0, 1, int(bins) + 1) if np.ndim(bins) == 0 else np.asarray(bins, float)
+    edges = np.linspace(0, 1, bins + 1) if isinstance(bins, int) else np.asarray(bins, float)
     if len(edges) < 2 or edges[0] != 0 or edges[-1] != 1 or (np.diff(edges) <= 0).any():
         raise ScenarioError(
             f"bins: {bins!r} is not accepted; a number above 0, or edges that grow from 0 to 1"
