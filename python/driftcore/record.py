@@ -41,6 +41,8 @@ _MONTH_DAYS = (31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31)
 _MEAN_SPEED_LIMIT = 12.5
 _RARE_SPEED_LIMIT = 32.7
 _ANY_SPEED_LIMIT = 100.0
+# Fewer rows are no climate: a gale fills a forecast of days.
+_LEAST_JUDGED = 400
 
 _SEASON_MONTHS = 4
 
@@ -498,7 +500,7 @@ def _warn_of_units(velocity: Float, units: Mapping[str, str]) -> None:
     ]
     if speed.max(initial=0.0) > _ANY_SPEED_LIMIT:
         doubts.append(f"a speed of {speed.max():g} looks like a missing value")
-    elif speed.size:
+    elif speed.size >= _LEAST_JUDGED:
         mean, rare = speed.mean(), np.quantile(speed, 0.999)
         if mean > _MEAN_SPEED_LIMIT or rare > _RARE_SPEED_LIMIT:
             doubts.append(
