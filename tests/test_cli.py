@@ -619,8 +619,14 @@ main()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are not sent there")
+@pytest.mark.parametrize(
+    ("sent_signal", "code", "told"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
 @pytest.mark.parametrize("command", ["run", "demo"])
-def test_interruption_leaves_nothing(command: str, tmp_path: Path) -> None:
+def test_interruption_leaves_nothing(
+    command: str, sent_signal: signal.Signals, code: int, told: str, tmp_path: Path
+) -> None:
     long = "[wind]\nh = 0.3\n[ensemble]\nmodel = 'full'\nmembers = 200000\n"
     (tmp_path / "long.toml").write_text(long, encoding="utf-8")
     arguments: dict[str, list[str | Path]] = {
@@ -640,11 +646,11 @@ def test_interruption_leaves_nothing(command: str, tmp_path: Path) -> None:
             assert process.stdout.readline() == "running\n"
             time.sleep(0.5)
             sent = time.monotonic()
-            process.send_signal(signal.SIGINT)
+            process.send_signal(sent_signal)
             out, err = process.communicate(timeout=60)
         # Half a second; more where other work holds the processors.
         assert time.monotonic() - sent < 3
-    assert (process.returncode, out, err) == (130, "", "interrupted; nothing was written\n")
+    assert (process.returncode, out, err) == (code, "", f"{told}; nothing was written\n")
 
 
 def test_letters_that_the_terminal_lacks_stop_nothing(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ from driftcore.statistics import Probability
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
-    from driftcore import coast, currents, objects, tides
+    from driftcore import coast, currents, hindcast, objects, tides, verification
     from driftcore.coast import LandCoast
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
@@ -72,7 +72,7 @@ _OF_THE_REAL_SEA = {
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("coast", "currents", "objects", "tides"):
+    if name in ("coast", "currents", "hindcast", "objects", "tides", "verification"):
         return import_module(f"driftcore.{name}")
     if name in _OF_THE_REAL_SEA:
         return getattr(import_module(f"driftcore.{_OF_THE_REAL_SEA[name]}"), name)
@@ -119,6 +119,7 @@ __all__ = [
     "coast",
     "currents",
     "forecast",
+    "hindcast",
     "member_path",
     "member_trajectories",
     "multifidelity_probability",
@@ -133,4 +134,5 @@ __all__ = [
     "run",
     "tides",
     "trajectory",
+    "verification",
 ]

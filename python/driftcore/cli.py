@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -51,9 +53,18 @@ class Commands(TyperGroup):
         """Run the command that was asked for."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            err.print("interrupted; nothing was written")
-            raise typer.Exit(130) from None
+        except KeyboardInterrupt as cause:
+            ended = isinstance(cause, Terminated)
+            err.print(f"{'terminated' if ended else 'interrupted'}; nothing was written")
+            raise typer.Exit(143 if ended else 130) from None
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end, by SIGTERM."""
+
+
+def _terminate(*_: object) -> None:
+    raise Terminated
 
 
 app = typer.Typer(
@@ -707,7 +718,12 @@ def _spoken_warnings() -> Iterator[None]:
 
 
 def main() -> None:
-    """Entry point: exit code 2 and one line for what the user can mend, 130 when interrupted."""
+    """Entry point: exit code 2 and one line for what the user can mend.
+
+    130 when interrupted, 143 when asked to end (SIGTERM), which tidies up all the same.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _terminate)
     if isinstance(sys.stdout, TextIOWrapper):
         # A name that the terminal's encoding lacks a letter of is no reason to stop.
         sys.stdout.reconfigure(errors="replace")

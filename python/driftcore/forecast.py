@@ -30,6 +30,7 @@ from driftcore.dataset import (
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
 from driftcore.maps import MapGrid
+from driftcore.memory import require_room, require_room_for
 from driftcore.record import WindRecord
 from driftcore.scenario import (
     Circle,
@@ -74,6 +75,11 @@ FIRST_LOOK, _LEAST_GROWTH = 1000, 1.05
 PRECISION = 0.01
 # Small-scale steps in a tide, paper section 4.1.
 _FINE_STEPS = 100
+# As in rust/src/python.rs: more than any machine has processors.
+_MOST_THREADS = 1024
+# Steps of the record that a tide may last, from and to: small-scale steps are worked out beforehand
+# for one step, and winds are drawn some tides before the release.
+_SHORTEST_TIDE, _LONGEST_TIDE = 1 / 40, 1e4
 
 
 def trajectory(
@@ -371,7 +377,7 @@ def forecast(
         keep=keep,
         outputs_per_tide=max(1, len(instants) - 1) * scenario.period / scenario.duration,
     )
-    threads = checked_count("threads", default_threads() if threads is None else threads)
+    threads = checked_threads(threads)
     chunk = checked_count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
     compiled = _compiled(scenario)
     shapes: Any = targets or {}  # of which the configuration makes polygons
@@ -870,6 +876,7 @@ def substeps_of(step: float, period: float) -> int:
 
 def regular_times(duration: float, interval: float) -> Floats:
     """Regular times from 0 to the end of a run, both included, about `interval` apart."""
+    require_room("times", duration / interval, 3 * 8, f"times {interval:g} apart")
     return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
 
 
@@ -960,7 +967,12 @@ class Fates(NamedTuple):
 
     @classmethod
     def empty(cls, members: int, keep: int, outputs: int, targets: int) -> Fates:
-        """Of members not followed yet."""
+        """Of members not followed yet; what does not fit into memory is refused.
+
+        Twice over, for a dataset is made of them.
+        """
+        require_room("members", members, 2 * (25 + 8 * targets), "members")
+        require_room("keep", float(keep) * outputs, 2 * 16, "positions of members kept")
         return cls(
             np.zeros(members, dtype=np.int8),
             np.full(members, np.nan),
@@ -995,6 +1007,13 @@ class Resampled:
         """`hand_over` gives what the members begin with, so many steps before time 0."""
         self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
+        tide_h = scenario.period * scenario.hours_per_unit
+        shortest, longest = (wind.record.step_h * k for k in (_SHORTEST_TIDE, _LONGEST_TIDE))
+        if not (step > 0 and shortest <= tide_h <= longest):
+            raise ScenarioError(
+                f"tide_period_h: {tide_h:g} is not accepted; with a wind every "
+                f"{wind.record.step_h:g} h it should be from {shortest:g} to {longest:g}"
+            )
         substeps = substeps_of(step, scenario.period)
         lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
         start, self.end = solver.wind_needed(scenario.duration, scenario.period)
@@ -1004,17 +1023,21 @@ class Resampled:
                 f"this window needs it {-start / scenario.period:.3g} tides before; "
                 f"windows up to {4 * scenario.period:g} (4 tides) are accepted"
             )
-        self.generator = _core.WindGenerator(
-            wind.core,
-            step,
-            scenario.wind_unit,
-            wind.small_scale_sd / scenario.wind_unit,
-            wind.memory_h / scenario.hours_per_unit,
-            substeps,
-            lead_in,
-            None if phase is None else wind.phase_before(phase, lead_in),
-            None if hand_over is None else hand_over(lead_in),
-        )
+        handed = None if hand_over is None else hand_over(lead_in)
+        try:
+            self.generator = _core.WindGenerator(
+                wind.core,
+                step,
+                scenario.wind_unit,
+                wind.small_scale_sd / scenario.wind_unit,
+                wind.memory_h / scenario.hours_per_unit,
+                substeps,
+                lead_in,
+                None if phase is None else wind.phase_before(phase, lead_in),
+                handed,
+            )
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
         self.lead_in = lead_in
         self.times = np.arange(math.ceil(self.end / step - 1e-9) + 1) * np.float64(step)
 
@@ -1027,6 +1050,7 @@ class Resampled:
         """Give the synoptic wind [m/s] of `count` members from the release on."""
         del instants
         steps = self.lead_in + len(self.times)
+        require_room("keep", count * float(steps), 3 * 24, "winds kept")
         wind, _ = self.wind.core.sample(count, steps, self.seed, first)
         return self.times, wind[:, self.lead_in :]
 
@@ -1115,6 +1139,7 @@ class _Given:
 
 
 def _output_times(times: ArrayLike, duration: float) -> Floats:
+    require_room_for("times", times)
     try:
         instants = np.atleast_1d(np.asarray(times, dtype=float))
     except (TypeError, ValueError):
@@ -1155,6 +1180,14 @@ def members_of(members: int | str | None, first_member: int, paths: int | None =
 def kept_of(first_member: int, members: int, keep: int) -> int:
     """Give the number of members in a range whose index is below `keep`."""
     return min(max(keep - first_member, 0), members)
+
+
+def checked_threads(threads: int | None) -> int:
+    """Give the number of threads, all processors if it is left open."""
+    number = default_threads() if threads is None else checked_count("threads", threads)
+    if number > _MOST_THREADS:
+        raise ScenarioError(f"threads: {number} is not accepted; at most {_MOST_THREADS}")
+    return number
 
 
 def default_threads() -> int:

@@ -26,7 +26,7 @@ from driftcore.forecast import (
     Fates,
     Forecast,
     checked_count,
-    default_threads,
+    checked_threads,
     follow_in_chunks,
     kept_of,
     members_of,
@@ -39,6 +39,7 @@ from driftcore.geographic import GeographicScenario
 from driftcore.geographic_winds import core_path, winds_of
 from driftcore.grids import VectorGrid
 from driftcore.maps import MapGrid
+from driftcore.memory import require_room_for
 from driftcore.scenario import ModelName, Polygons
 from driftcore.statistics import Probability, probability, wilson
 from driftcore.wind import WindPath
@@ -150,7 +151,7 @@ def geographic_forecast(
     winds = winds_of(scenario, wind, solver, seed)
     members = members_of(members, first_member, winds.members)
     keep = checked_count("keep", keep, least=0)
-    threads = checked_count("threads", default_threads() if threads is None else threads)
+    threads = checked_threads(threads)
     chunk = checked_count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
     if times is None:
         steps = math.ceil(scenario.days * 24 / _OUTPUTS_H - 1e-9)
@@ -339,6 +340,7 @@ def _utc(name: str, times: Any) -> Times:
     """Give times as UTC without a zone, shape (n,); what names no zone is UTC."""
     import pandas as pd
 
+    require_room_for(name, times)
     values = np.atleast_1d(times)
     try:
         if values.ndim != 1 or not len(values) or values.dtype.kind not in "MOU":

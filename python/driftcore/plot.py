@@ -40,10 +40,13 @@ if TYPE_CHECKING:
 __all__ = [
     "convergence",
     "likelihood",
+    "pit_histogram",
     "plane",
+    "reliability_diagram",
     "roses",
     "save_all",
     "save_member",
+    "score_ratios",
     "stranding_rose",
     "stranding_times",
     "time_series",
@@ -79,7 +82,8 @@ _SPEED_CLASSES = (0.0, 3.0, 6.0, 9.0)  # m/s, four as in the paper; summer winds
 _WIDTH = 7.0  # in, two columns of a journal
 _TRAJECTORIES, _ROSES, _ROSE = (_WIDTH, 4.9), (_WIDTH, 4.9), (4.2, 4.9)
 _TIMES, _SERIES = (_WIDTH, 3.8), (_WIDTH, 6.0)
-_TITLE, _LABEL, _SMALL = 9.5, 9.0, 8.0  # pt
+_SQUARE = (4.2, 4.2)
+_TITLE, _LABEL, _SMALL, _TINY = 9.5, 9.0, 8.0, 6.5  # pt
 _DPI = 200
 _TIME_LABEL = "time [scenario units]"
 
@@ -494,6 +498,137 @@ def likelihood(
     _labels(axes, x_label, y_label)
     _grid(axes)
     _legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.2), borderaxespad=0.0)
+    return artists
+
+
+def reliability_diagram(dataset: xr.Dataset, ax: Axes | None = None) -> list[Artist]:
+    """Draw how often events came against how often they were forecast to, and chance's bars.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As `driftcore.verification.reliability` gives it.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; left out, a new square figure.
+
+    Returns
+    -------
+    list of matplotlib.artist.Artist
+        Diagonal, consistency bars, points within them and points outside, and the bars of the
+        inset, which counts the cases.
+    """
+    _need(dataset, "forecast", "observed", "low", "high", "count")
+    axes = _figure(_SQUARE).subplots() if ax is None else ax
+    forecast, observed, low, high, count = (
+        dataset[name].to_numpy() for name in ("forecast", "observed", "low", "high", "count")
+    )
+    outside = (observed < low) | (observed > high)
+    artists: list[Artist] = [*axes.plot([0, 1], [0, 1], color=_INK, linewidth=0.8, linestyle="--")]
+    bars = axes.vlines(forecast, low, high, color=_SKY, linewidth=6.0, alpha=0.6)
+    bars.set_label(f"{100 * dataset.attrs['level']:g} % if calibrated")
+    artists.append(bars)
+    for rows, colour, marker, label in (
+        (~outside, _BLUE, "o", "within"),
+        (outside, _VERMILION, "D", "outside"),
+    ):
+        if rows.any():
+            artists += axes.plot(
+                forecast[rows],
+                observed[rows],
+                linestyle="none",
+                marker=marker,
+                markersize=4.5,
+                color=colour,
+                label=label,
+            )
+    fifths = np.arange(6) / 5
+    axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal", xticks=fifths, yticks=fifths)
+    _labels(axes, "forecast probability", "share that happened")
+    _grid(axes)
+    _legend(axes, loc="upper left", borderaxespad=0.2, handletextpad=0.4)
+    inset = axes.inset_axes((0.62, 0.09, 0.35, 0.2))
+    artists += inset.bar(dataset["bin"].to_numpy(), count, width=0.08, color=_SHORE)
+    inset.set_yscale("log")
+    inset.set(xlim=(0, 1), xticks=[0, 1], ylim=(max(1.0, count.min() / 3), count.max() * 2))
+    inset.tick_params(labelsize=_TINY, length=2, pad=1)
+    inset.minorticks_off()
+    inset.set_title("cases", fontsize=_TINY, pad=2)
+    for side in ("top", "right"):
+        inset.spines[side].set_visible(False)
+    return artists
+
+
+def pit_histogram(dataset: xr.Dataset, ax: Axes | None = None) -> list[Artist]:
+    """Draw the histogram of the probability integral transform and chance's bars around 1.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        As `driftcore.verification.pit` gives it.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; left out, a new figure 7 in wide.
+
+    Returns
+    -------
+    list of matplotlib.artist.Artist
+        Bars, the line of a calibrated forecast, and the consistency bars.
+    """
+    _need(dataset, "density", "low", "high")
+    axes = _figure(_TIMES).subplots() if ax is None else ax
+    middle, density, low, high = (
+        dataset[name].to_numpy() for name in ("bin", "density", "low", "high")
+    )
+    artists: list[Artist] = [
+        *axes.bar(middle, density, width=1 / len(middle), color=_LAND, edgecolor=_SHORE, zorder=1)
+    ]
+    artists.append(axes.axhline(1.0, color=_INK, linewidth=0.8, linestyle="--"))
+    bars = axes.vlines(middle, low, high, color=_SKY, linewidth=6.0, alpha=0.7, zorder=2)
+    bars.set_label(f"{100 * dataset.attrs['level']:g} % if calibrated")
+    artists.append(bars)
+    axes.set(xlim=(-0.02, 1.02), ylim=(0, 1.3 * max(density.max(), high.max())))
+    axes.set_xticks(np.arange(6) / 5)
+    _labels(axes, "rank among the members", "density")
+    _legend(axes, loc="upper left", borderaxespad=0.2)
+    return artists
+
+
+def score_ratios(
+    curves: Mapping[str, xr.Dataset],
+    x_label: str,
+    y_label: str,
+    ax: Axes | None = None,
+) -> list[Artist]:
+    """Draw a score as a share of the reference's by lead, with its interval.
+
+    Parameters
+    ----------
+    curves : mapping of str to xarray.Dataset
+        By legend entry, as `driftcore.verification.score_ratio` gives them; coordinate `lead`.
+    x_label, y_label : str
+        What the axes show.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; left out, a new figure 7 in wide.
+
+    Returns
+    -------
+    list of matplotlib.artist.Artist
+        The reference's line, and a band and a line per curve: up to three differ.
+    """
+    axes = _figure(_TIMES).subplots() if ax is None else ax
+    artists: list[Artist] = [axes.axhline(1.0, color=_INK, linewidth=0.8)]
+    looks = zip((_BLUE, _VERMILION, _GREEN), ("-", "--", "-."), strict=True)
+    for (label, curve), (colour, style) in zip(curves.items(), looks, strict=False):
+        _need(curve, "ratio", "low", "high")
+        lead = curve["lead"].to_numpy()
+        artists.append(
+            axes.fill_between(lead, curve["low"], curve["high"], color=colour, alpha=0.2, lw=0)
+        )
+        artists += axes.plot(lead, curve["ratio"], style, color=colour, linewidth=1.4, label=label)
+        axes.set_xlim(0.0, lead[-1])
+    axes.set_ylim(bottom=0.0)
+    _labels(axes, x_label, y_label)
+    _grid(axes)
+    _legend(axes, loc="lower right")
     return artists
 
 

@@ -20,6 +20,8 @@ Side = Literal["inside", "outside"]
 _LONGEST_TIDES = 70_000
 _LONGEST_DAYS = 36_525
 _MOST_MEMBERS = 10**8
+# The models step explicitly: their steps are no longer than some times of a body's response.
+_STIFFEST = 1e6
 # 16 GB of them.
 MOST_POSITIONS = 10**9
 
@@ -114,6 +116,12 @@ class Scenario(Configuration):
     @model_validator(mode="after")
     def _run_is_finite(self) -> Scenario:
         """Refuse what no computer follows: most likely a unit or a power of ten is wrong."""
+        if self.drag * self.duration > _STIFFEST:
+            raise ValueError(
+                f"drag: {self.drag} is not accepted; with duration = {self.duration} a body would "
+                f"answer the wind within {1 / (self.drag * self.duration):.3g} of the run; at most "
+                f"{_STIFFEST:g} over the duration"
+            )
         tides = self.duration / self.epsilon
         if tides > _LONGEST_TIDES or self.duration_days > _LONGEST_DAYS:
             raise ValueError(
@@ -266,6 +274,8 @@ class RunConfiguration(Configuration):
         ensemble = self.ensemble
         tides = self.scenario.duration / self.scenario.epsilon
         kept = ensemble.most_kept * ensemble.outputs_per_tide * tides
+        # The times themselves are there even if nobody is kept.
+        kept = max(1, min(ensemble.keep, ensemble.members)) * ensemble.outputs_per_tide * tides
         if kept > MOST_POSITIONS:
             raise ValueError(
                 f"ensemble.keep: {ensemble.keep} is not accepted; with outputs_per_tide = "
