@@ -167,11 +167,12 @@ def cost_ratio(scenario: dc.Scenario, effort: Effort) -> float:
     return median(ratios)
 
 
-def two_levels(name: str, scenario: dc.Scenario, effort: Effort) -> str:
+def two_levels(
+    name: str, scenario: dc.Scenario, members: tuple[int, int], reference: int, effort: Effort
+) -> str:
     """Variance at equal cost beside the full model alone, bias, and coverage."""
-    members = (1_000, 32)
     # All by both models: the full one alone, and how often they disagree.
-    both = dc.multifidelity_probability(scenario, members=(effort.reference,) * 2, threads=1)
+    both = dc.multifidelity_probability(scenario, members=(reference, reference), threads=1)
     found = [
         dc.multifidelity_probability(scenario, members=members, seed=1000 + k, threads=1)
         for k in range(effort.levels)
@@ -179,14 +180,14 @@ def two_levels(name: str, scenario: dc.Scenario, effort: Effort) -> str:
     estimates = np.array([one.estimate for one in found])
     p, c = both.estimate, cost_ratio(scenario, effort)
     apart = sum(one.gained[0] + one.lost[0] for one in (both, *found))
-    pairs = effort.reference + members[1] * effort.levels
+    pairs = reference + members[1] * effort.levels
     v, d = p * (1 - p), apart / pairs
     variance = float(estimates.var(ddof=1))
     gain = v / (c * members[0] + members[1]) / variance
     noise = gain * math.sqrt(2 / (effort.levels - 1))
     theory = v / members[0] + d / members[1]
     best = optimum(v, d, c)
-    error = math.sqrt(variance / effort.levels + v / effort.reference)
+    error = math.sqrt(variance / effort.levels + v / reference)
     rows = [
         ["c, median of 5", f"{c:.3f}"],
         ["d", f"{100 * d:.3f} % ({apart} of {pairs:,})"],
@@ -207,13 +208,15 @@ def two_levels(name: str, scenario: dc.Scenario, effort: Effort) -> str:
 
 def two_levels_paper(effort: Effort) -> str:
     """In the paper's sea, where the full model costs little."""
-    return two_levels("paper, ε = 1/200", dc.paper.scenario(epsilon=1 / 200), effort)
+    return two_levels("paper, ε = 1/50", dc.paper.scenario(), (500, 16), effort.reference, effort)
 
 
 def two_levels_gridded(effort: Effort) -> str:
     """In a sea on a grid, where it costs much."""
     scenario = dc.Scenario(sea=gridded_sea(), epsilon=1 / 200)
-    return two_levels("gridded tide of 3 harmonics, ε = 1/200", scenario, effort)
+    return two_levels(
+        "gridded tide of 3 harmonics, ε = 1/200", scenario, (300, 16), effort.reference // 2, effort
+    )
 
 
 def precision(effort: Effort) -> str:

@@ -273,9 +273,8 @@ class RunConfiguration(Configuration):
     def _fits_memory(self) -> RunConfiguration:
         ensemble = self.ensemble
         tides = self.scenario.duration / self.scenario.epsilon
-        kept = ensemble.most_kept * ensemble.outputs_per_tide * tides
         # The times themselves are there even if nobody is kept.
-        kept = max(1, min(ensemble.keep, ensemble.members)) * ensemble.outputs_per_tide * tides
+        kept = max(1, ensemble.most_kept) * ensemble.outputs_per_tide * tides
         if kept > MOST_POSITIONS:
             raise ValueError(
                 f"ensemble.keep: {ensemble.keep} is not accepted; with outputs_per_tide = "
