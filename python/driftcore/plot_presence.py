@@ -115,13 +115,6 @@ def presence_map(
     drawn = draw_presence(axes, dataset, cells, index, scale_of(dataset, cells, index))
     add_colour_bar(axes, drawn[0], cells.words)
     set_title(axes, words_at(dataset, index), wind_words(dataset), 60)
-    for share, style in _CONTOURS.items():
-        look: dict[str, Any] = {"color": tones().ink, "linestyle": style, "linewidth": 1.1}
-        axes.plot([], [], label=f"{100 * share:g} % of those afloat", **look)
-    if is_geographic(dataset):
-        add_legend_below(axes)
-    else:
-        add_legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)
     return drawn + artists
 
 
@@ -159,7 +152,10 @@ def map_without_cells(
         axes = map_axes(ax, (x[0], x[-1], y[0], y[-1]), COLOUR_BAR)
         artists = draw_land(axes, coast)
         artists += draw_release(axes, release_of(dataset), **in_degrees(axes))
-        return axes, artists + add_scale_and_north(axes)
+        artists += add_scale_and_north(axes)
+        _name_contours(axes)
+        add_legend_below(axes)
+        return axes, artists
     if coast is not None:
         raise ScenarioError("coast: is not accepted in the paper's plane, whose forecast holds it")
     axes = new_figure(PLANE).subplots() if ax is None else ax
@@ -171,7 +167,16 @@ def map_without_cells(
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
     axes.set_aspect("equal")
+    _name_contours(axes)
+    add_legend(axes, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)
     return axes, artists
+
+
+def _name_contours(axes: Axes) -> None:
+    """Put the contours into the legend."""
+    for share, style in _CONTOURS.items():
+        look: dict[str, Any] = {"color": tones().ink, "linestyle": style, "linewidth": 1.1}
+        axes.plot([], [], label=f"{100 * share:g} % of those afloat", **look)
 
 
 def draw_presence(
