@@ -45,6 +45,7 @@ from driftcore.statistics import Probability, probability
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
     from driftcore.geographic import GeographicScenario
@@ -494,6 +495,17 @@ class Forecast:
         """TOML text of the run; `driftcore run` reads it."""
         return str(self.dataset.attrs["configuration"])
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give a row for each member: see `driftcore.export.members_table`."""
+        from driftcore.export import members_table
+
+        return members_table(self)
+
+    def _repr_html_(self) -> str:
+        from driftcore.html import forecast_table
+
+        return forecast_table(self)
+
     def to_netcdf(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Write the dataset as NetCDF-4: to a temporary name first, then renamed.
 
@@ -629,7 +641,11 @@ def open_forecast(path: str | os.PathLike[str]) -> Forecast:
     OutputError
         The file is missing or is not a driftcore forecast.
     """
-    dataset = read_netcdf(Path(path))
+    return forecast_of(read_netcdf(Path(path)))
+
+
+def forecast_of(dataset: xr.Dataset) -> Forecast:
+    """Give the forecast that a dataset is, a `GeographicForecast` where it is one."""
     if is_geographic(dataset):
         from driftcore.geographic_forecast import GeographicForecast
 

@@ -371,6 +371,11 @@ class GeographicScenario:
         bodies[:, 9] = share * math.sin(math.radians(angle))
         return bodies
 
+    def _repr_html_(self) -> str:
+        from driftcore.html import scenario_table
+
+        return scenario_table(self)
+
     @cached_property
     def scaling(self) -> Scaling:
         """The paper's scaling: how small is what averaging takes for small."""
