@@ -438,6 +438,8 @@ def _dataset(
 ) -> xr.Dataset:
     import xarray as xr
 
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
+
     members, kept = len(fates.status), len(fates.position)
     dim = "member" if kept == members else "kept_member"
     longitude, latitude = _degrees(scenario, fates.position)
