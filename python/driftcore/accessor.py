@@ -18,7 +18,7 @@ from driftcore.forecast import Forecast, forecast_of
 __all__ = ["ForecastAccessor"]
 
 
-@xr.register_dataset_accessor("driftcore")
+@xr.register_dataset_accessor("driftcore")  # type: ignore[no-untyped-call]
 class ForecastAccessor:
     """What `Forecast` or `GeographicForecast` says of a dataset, and its figures.
 

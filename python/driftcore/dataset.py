@@ -108,6 +108,8 @@ def forecast_dataset(
     """All members: shapes (member,), (member, 2), kept (kept, time, 2), (kept, wind_time, 2)."""
     import xarray as xr
 
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
+
     dim, coordinates = member_coordinates(first_member, len(status), len(position))
     variables = {
         "status": (("member",), status, STATUS_ATTRIBUTES),
@@ -332,6 +334,14 @@ def ensemble_attributes(scenario: str, members: int) -> dict[str, Any]:
     }
 
 
+def wind_label(dataset: xr.Dataset) -> str:
+    """Say which wind a dataset was computed with, and that it is synthetic where it is."""
+    label = str(dataset.attrs.get("wind_label", "")).strip()
+    if dataset.attrs.get("wind_synthetic", 0) and "synthetic" not in label.lower():
+        label = f"{label} (synthetic)" if label else "synthetic"
+    return label
+
+
 def provenance(command: str) -> dict[str, str]:
     """Attributes that say what wrote a file, and when."""
     from driftcore import __version__
@@ -407,6 +417,8 @@ def read_netcdf(path: Path) -> xr.Dataset:
         The file is missing, is not NetCDF, or was not written by driftcore.
     """
     import xarray as xr
+
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
 
     try:
         if not path.exists():

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from driftcore.dataset import wind_label
 from driftcore.errors import DriftCoreError, OutputError, ScenarioError
 from driftcore.files import check_writable, replacing
 from driftcore.statistics import wilson
@@ -92,6 +93,19 @@ def fates() -> dict[int, tuple[str, str]]:
         2: ("left the domain", GREEN),
         FAILED: ("failed", PURPLE),
     }
+
+
+def check_picture(path: Path, overwrite: bool) -> None:
+    """Refuse, before any long work, a picture that could not be written.
+
+    Raises
+    ------
+    OutputError
+        As `driftcore.files.check_writable`, or the name does not end in .png.
+    """
+    if path.suffix != ".png":
+        raise OutputError(f"{path}: is not accepted; a picture's name ends in .png")
+    check_writable(path, overwrite)
 
 
 def save_figures(figures: dict[str, Figure], folder: Path, overwrite: bool) -> list[Path]:
@@ -324,10 +338,8 @@ def counted(members: int) -> str:
 
 
 def wind_words(dataset: xr.Dataset) -> str:
-    """Say which wind the dataset was computed with, and that it is synthetic where it is."""
-    label = str(dataset.attrs.get("wind_label", "")).strip()
-    if dataset.attrs.get("wind_synthetic", 0) and "synthetic" not in label.lower():
-        label = f"{label} (synthetic)" if label else "synthetic"
+    """Say which wind the dataset was computed with."""
+    label = wind_label(dataset)
     return f"Wind: {label}" if label else ""
 
 

@@ -445,6 +445,8 @@ def _dataset(
 ) -> xr.Dataset:
     import xarray as xr
 
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
+
     longitude, latitude = _degrees(scenario, fates.position)
     stranded = _degrees(scenario, fates.stranding_position)
     released = _degrees(scenario, release)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from html import escape
 from typing import TYPE_CHECKING
 
-from driftcore.dataset import is_geographic
+from driftcore.dataset import is_geographic, wind_label
 
 if TYPE_CHECKING:
     from driftcore.forecast import Forecast
@@ -26,6 +26,10 @@ def table(title: str, rows: Iterable[tuple[str, object]]) -> str:
     return f"<table><caption>{escape(title)}</caption><tbody>{cells}</tbody></table>"
 
 
+def _minute(instant: str) -> str:
+    return instant[:16].replace("T", " ")
+
+
 def _short(words: str) -> str:
     return words if len(words) <= _SHOWN else f"{words[: _SHOWN - 1]}…"
 
@@ -40,7 +44,7 @@ def _of_forecast(forecast: Forecast) -> Iterator[tuple[str, object]]:
     yield "scenario", attributes.get("scenario", "drift")
     unit = 1.0
     if is_geographic(forecast.dataset):
-        yield "run", f"{attributes['days']:g} days from {attributes['start']} UTC"
+        yield "run", f"{attributes['days']:g} days from {_minute(attributes['start'])} UTC"
         yield "release", attributes["release"]
     else:
         unit = attributes["tide_period_h"] / attributes["epsilon"] / 24
@@ -57,16 +61,15 @@ def _of_forecast(forecast: Forecast) -> Iterator[tuple[str, object]]:
             yield f"enters {name}", f"{forecast.entry_probability(name)}"
     order = f", order {attributes['order']}" if "order" in attributes else ""
     yield "model", f"{attributes['model']}{order}, seed {attributes['seed']}"
-    synthetic = " (synthetic)" if attributes.get("wind_synthetic", 0) else ""
-    yield "wind", f"{attributes['wind_label']}{synthetic}"
+    yield "wind", wind_label(forecast.dataset)
 
 
 def scenario_table(scenario: Scenario | GeographicScenario) -> str:
     """Write what a scenario sets up."""
     from driftcore.scenario import Scenario
 
-    plane = isinstance(scenario, Scenario)
-    return table("Scenario", _of_plane(scenario) if plane else _of_sea(scenario))
+    rows = _of_plane(scenario) if isinstance(scenario, Scenario) else _of_sea(scenario)
+    return table("Scenario", rows)
 
 
 def _of_plane(scenario: Scenario) -> Iterator[tuple[str, object]]:
@@ -81,12 +84,12 @@ def _of_plane(scenario: Scenario) -> Iterator[tuple[str, object]]:
 def _of_sea(scenario: GeographicScenario) -> Iterator[tuple[str, object]]:
     about = scenario.describe()
     yield "name", scenario.name
-    yield "run", f"{scenario.days:g} days from {about['start']} UTC"
+    yield "run", f"{scenario.days:g} days from {_minute(about['start'])} UTC"
     yield "release", about["release"]
-    yield "object", ", ".join(about["drifter"].split("\n")).strip(", ")
+    # TOML, whose comments explain.
+    lines = (line.split(" #")[0].strip() for line in about["drifter"].split("\n"))
+    yield "object", ", ".join(filter(None, lines))
     for name in ("tides", "current", "coast"):
         yield name, about[name]
-    yield (
-        "epsilon",
-        f"{scenario.epsilon:.2g}, a tide of {about['tide_period_h']:.2f} h over the run",
-    )
+    tide = about["tide_period_h"]
+    yield "epsilon", f"{scenario.epsilon:.2g}, a tide of {tide:.2f} h over the run"
