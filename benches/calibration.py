@@ -121,9 +121,10 @@ def imperfect_forecast(
     phase = phase_of_day(climate.record, record.times[row]) + step
     mean = climate.cycle[phase % len(climate.cycle)]
     r = 2.0 ** -((step * record.step_h / HALF_LIFE_H) ** 2)[:, None]
-    # The error has the climate's law: the same days of another summer.
+    # The error has the climate's law: the same days of another summer, of each its own.
     names = np.unique(climate.record.season)
-    other = np.flatnonzero(climate.record.season == names[seed % len(names)])[rows]
+    name = names[np.random.default_rng(seed).integers(len(names))]
+    other = np.flatnonzero(climate.record.season == name)[rows]
     given = hindcast.table(record, rows)
     error = climate.record.velocity[other] - mean
     given[:] = mean + r * (record.velocity[rows] - mean) + np.sqrt(1 - r**2) * error
@@ -141,7 +142,13 @@ def hand_over_skill(folds: Folds, **options: Any) -> tuple[xr.Dataset, xr.Datase
     for season, climate in folds:
         for handed, issue in ((True, imperfect_forecast), (False, hindcast.from_climate)):
             found = hindcast.hindcast(
-                [scenario], season, climate, issue=issue, times=times, **options
+                [scenario],
+                season,
+                climate,
+                issue=issue,
+                times=times,
+                seed=1000 * int(season.season[0]),
+                **options,
             ).isel(scenario=0)
             for name in ("wind", "position"):
                 members = found[name].transpose("member", "release", "time", "component")
@@ -277,6 +284,12 @@ def draw(found: dict[str, Any], skills: dict[str, Any], folder: Path) -> None:
                 fontsize=plot._SMALL,
             )
             axes.label_outer()
+    figures = {"reliability": diagrams, "pit": ranks, "hand_over_skill": skill_figure(skills)}
+    plot._save(figures, folder, overwrite=True)
+
+
+def skill_figure(skills: dict[str, Any]) -> Any:
+    """Draw wind and drift side by side."""
     curves = plot._figure((7.0, 3.0))
     panels = curves.subplots(1, 2, sharey=True)
     for axes, title, k in zip(panels, ("10 m wind", "drift position"), (0, 1), strict=True):
@@ -291,8 +304,7 @@ def draw(found: dict[str, Any], skills: dict[str, Any], folder: Path) -> None:
         axes.set(ylim=(0, 1.2), xticks=np.arange(0, 21, 5))
         axes.set_title(title, fontsize=plot._TITLE)
         axes.label_outer()
-    figures = {"reliability": diagrams, "pit": ranks, "hand_over_skill": curves}
-    plot._save(figures, folder, overwrite=True)
+    return curves
 
 
 if __name__ == "__main__":
