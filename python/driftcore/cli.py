@@ -54,8 +54,9 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as cause:
-            ended = isinstance(cause, Terminated)
-            err.print(f"{'terminated' if ended else 'interrupted'}; nothing was written")
+            ended = isinstance(cause, Terminated) or isinstance(cause.__context__, Terminated)
+            told = f"{'terminated' if ended else 'interrupted'}; nothing was written"
+            err.print(escape(str(cause) or told))
             raise typer.Exit(143 if ended else 130) from None
 
 
@@ -86,7 +87,7 @@ Coast = Annotated[
     Path | None,
     typer.Option(help="Land to draw on the real sea; default that of the package."),
 ]
-ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast file (NetCDF).")]
+ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast (.nc or .zarr).")]
 
 # Members followed to estimate what all of them cost.
 _FEW, _MORE = 32, 256
@@ -166,7 +167,25 @@ def demo(
 @app.command(rich_help_panel="Forecast")
 def run(
     scenario: ScenarioFile,
-    output: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="NetCDF file to write, or a store for long runs (.zarr)."
+        ),
+    ],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a store that is unfinished.")
+    ] = False,
+    chunk: Annotated[
+        int | None, typer.Option(min=1, help="Members in each chunk of a store.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Let the workers of this dask scheduler follow."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Let so many dask workers of this machine follow.")
+    ] = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -175,16 +194,43 @@ def run(
     """Run the forecast that a scenario file describes.
 
     A file to start from, with every number explained: `driftcore new my.toml`. Relative paths in
-    it start at its folder.
+    it start at its folder. A store (.zarr) is written chunk by chunk: memory does not grow with
+    the number of members, and what is finished outlives any interruption.
     """
     from driftcore.files import check_writable
     from driftcore.geographic_configuration import read_configuration
 
     configuration = read_configuration(scenario)
-    check_writable(output, overwrite)
     # The forecast records its wind by this path: absolute, it can be run again from anywhere.
-    forecast = _run(configuration, scenario.parent.resolve(), threads, quiet or as_json)
-    forecast.to_netcdf(output, overwrite)
+    folder, quiet_bar = scenario.parent.resolve(), quiet or as_json
+    if output.suffix == ".zarr":
+        how: dict[str, Any] = {"resume": resume, "overwrite": overwrite, "chunk": chunk}
+        try:
+            with ExitStack() as stack:
+                if scheduler is not None or workers is not None:
+                    from driftcore.distributed import connected
+
+                    how["client"] = stack.enter_context(connected(scheduler, workers))
+                forecast = _run(configuration, folder, threads, quiet_bar, store=output, **how)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted; what is finished is kept: driftcore run {scenario} -o {output} "
+                "--resume"
+            ) from None
+    else:
+        for name, value in {
+            "resume": resume,
+            "chunk": chunk,
+            "scheduler": scheduler,
+            "workers": workers,
+        }.items():
+            if value:
+                raise ScenarioError(
+                    f"--{name}: is of a store; name one that ends in .zarr, not {output.name}"
+                )
+        check_writable(output, overwrite)
+        forecast = _run(configuration, folder, threads, quiet_bar)
+        forecast.to_netcdf(output, overwrite)
     if as_json:
         sys.stdout.write(json.dumps(_result(forecast)) + "\n")
     elif not quiet:
@@ -608,11 +654,15 @@ def _months(words: str) -> list[int] | None:
         ) from None
 
 
-def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> Forecast:
+def _run(
+    configuration: Any, folder: Path, threads: int | None, quiet: bool, **store: Any
+) -> Forecast:
     from driftcore.forecast import run as run_configuration
 
     with _bar("members", quiet, "fitting the wind") as progress:
-        return run_configuration(configuration, folder=folder, threads=threads, progress=progress)
+        return run_configuration(
+            configuration, folder=folder, threads=threads, progress=progress, **store
+        )
 
 
 @contextmanager

@@ -369,7 +369,7 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
     }
     # A coordinate has no missing values (CF 2.5.1), and so none that stands for them.
     encoding |= {name: {"_FillValue": None} for name in dataset.coords}
-    dataset = _times_as_numbers(dataset)
+    dataset = times_as_numbers(dataset)
     with replacing(path, overwrite) as temporary:
         # The HDF5 library brings the process down when the disk fills up under it.
         needed, free = dataset.nbytes + _FILE_OVERHEAD, shutil.disk_usage(temporary.parent).free
@@ -378,11 +378,12 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
 
 
-def _times_as_numbers(dataset: xr.Dataset) -> xr.Dataset:
+def times_as_numbers(dataset: xr.Dataset, since: np.datetime64 | None = None) -> xr.Dataset:
     """Give times as whole numbers of the longest unit in which none of them is rounded.
 
     Programs read seconds more widely than nanoseconds. All times have the same unit and origin:
-    bounds must have those of what they bound (CF 7.1).
+    bounds must have those of what they bound (CF 7.1). Or as nanoseconds `since` a day, whatever
+    they are: the same for every part of an ensemble.
     """
     # What a dataset was read with would stand beside what is set here.
     dataset = dataset.drop_encoding()
@@ -391,12 +392,13 @@ def _times_as_numbers(dataset: xr.Dataset) -> xr.Dataset:
         known = [v.values[~np.isnat(v.values)] for v in times.values()]
         instants = np.concatenate([*known, np.zeros(0, dtype="datetime64[ns]")])
         first = instants.min() if len(instants) else np.datetime64(0, "ns")
-        day = first.astype("datetime64[D]")
+        day = first.astype("datetime64[D]") if since is None else since
         origin = day.astype("datetime64[ns]")
         unit, length = next(
             (unit, length)
             for unit, length in _TIME_UNITS.items()
-            if not ((instants - origin).astype(np.int64) % length).any()
+            if (since is None or length == 1)
+            and not ((instants - origin).astype(np.int64) % length).any()
         )
         attributes = {"units": f"{unit} since {day} 00:00:00", "calendar": "proleptic_gregorian"}
         for name, variable in times.items():

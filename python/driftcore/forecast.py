@@ -47,6 +47,7 @@ from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from dask.distributed import Client
 
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_configuration import GeographicConfiguration
@@ -528,6 +529,11 @@ def run(
     folder: Path | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    chunk: int | None = None,
+    client: Client | None = None,
 ) -> Forecast:
     """Run a whole configuration: fit the wind it names, then forecast.
 
@@ -539,8 +545,48 @@ def run(
         Where relative paths start; default the working folder.
     threads, progress
         As in `forecast`.
+    store : path, optional
+        Name of a Zarr store, ending in .zarr. Members are written to it chunk by chunk, so that
+        memory does not grow with their number, and a run that is stopped, however, loses no
+        finished chunk: it grows as `NAME.zarr.part` and gets its name when it is whole. The
+        forecast is that of a run without a store, bit for bit, read lazily.
+    resume : bool
+        Go on with what is in the store, or begin where nothing is. A chunk that was damaged is
+        followed again, which is warned of.
+    overwrite : bool
+        Replace a store that is there; begin anew where a run is unfinished, unless `resume`.
+    chunk : int, optional
+        Members in a chunk of the store; by default a hundredth of all, within bounds.
+    client : dask.distributed.Client, optional
+        Workers that follow the chunks, with all their threads; this process writes.
+
+    Raises
+    ------
+    ScenarioError, RecordError
+        As in `forecast`, and for a file that does not serve.
+    OutputError
+        The store cannot be written, is in use, or is of another run: what differs is told.
     """
-    return planned(configuration, folder)(threads=threads, progress=progress)
+    if store is None:
+        given = {"resume": resume, "overwrite": overwrite, "chunk": chunk, "client": client}
+        for name, value in given.items():
+            if value:
+                raise ScenarioError(f"{name}: {value!r} is not accepted without a store")
+        return planned(configuration, folder)(threads=threads, progress=progress)
+    from driftcore.store import run_stored
+
+    dataset = run_stored(
+        configuration,
+        Path(store),
+        folder=folder,
+        resume=resume,
+        overwrite=overwrite,
+        chunk=chunk,
+        threads=threads,
+        progress=progress,
+        client=client,
+    )
+    return _forecast_of(dataset)
 
 
 def planned(
@@ -629,7 +675,7 @@ def fitted_wind(wind: WindConfiguration, folder: Path | None = None) -> LocalGri
 
 
 def open_forecast(path: str | os.PathLike[str]) -> Forecast:
-    """Read a forecast written by `Forecast.to_netcdf`.
+    """Read a forecast written by `Forecast.to_netcdf`, or open a store lazily: a folder, .zarr.
 
     Returns
     -------
@@ -639,8 +685,12 @@ def open_forecast(path: str | os.PathLike[str]) -> Forecast:
     Raises
     ------
     OutputError
-        The file is missing or is not a driftcore forecast.
+        The file is missing or is not a driftcore forecast, or the store is unfinished.
     """
+    if Path(path).suffix == ".zarr":
+        from driftcore.store import open_store
+
+        return forecast_of(open_store(Path(path)))
     return forecast_of(read_netcdf(Path(path)))
 
 
