@@ -111,8 +111,24 @@ def test_json_holds_what_the_forecast_says(driftcore: Command) -> None:
     assert (result.code, result.err) == (0, "")
     assert (told["stranding_probability"], told["low"], told["high"]) == (p.estimate, p.low, p.high)
     assert {name: told[name] for name in forecast.counts} == forecast.counts
-    quantiles = forecast.stranding_time_quantiles((0.05, 0.5, 0.95)).values
-    assert list(told["stranding_time_quantiles"].values()) == pytest.approx(quantiles.tolist())
+    quantiles = forecast.stranding_time_quantiles((0.05, 0.5, 0.95))
+    assert list(told["stranding_time_quantiles"].values()) == pytest.approx(quantiles.values)
+    assert list(told["stranding_time_intervals"]) == ["0.05", "0.5", "0.95"]
+    assert told["stranding_time_intervals"]["0.5"] == [quantiles[1].low, quantiles[1].high]
+    # Of twenty the first in twenty has no lower bound.
+    assert told["stranding_time_intervals"]["0.05"][0] is None
+
+
+def test_as_many_members_as_precision_takes(driftcore: Command) -> None:
+    scenario = SMALL.replace("members = 3", 'members = "auto"\nprecision = 0.028')
+    told = json.loads(driftcore("check", write(scenario), "--json").out)
+    result = json.loads(driftcore("run", write(scenario), "-o", "out.nc", "--json").out)
+    forecast = dc.open_forecast("out.nc")
+    assert forecast.stranding_probability().half_width <= 0.028
+    assert 1000 <= told["estimate"]["members"] <= 2000
+    again = dc.run(dc.RunConfiguration.from_toml(forecast.configuration()))
+    assert again.dataset.equals(forecast.dataset)
+    assert result["high"] - result["low"] <= 0.056
 
 
 def test_quiet_prints_nothing(driftcore: Command) -> None:

@@ -30,6 +30,7 @@ from driftcore.forecast import (
     trajectory,
 )
 from driftcore.maps import MapGrid
+from driftcore.multifidelity import MultifidelityProbability, multifidelity_probability
 from driftcore.record import WindRecord, read_record
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
@@ -100,6 +101,7 @@ __all__ = [
     "Leeway",
     "LocalGridBootstrap",
     "MapGrid",
+    "MultifidelityProbability",
     "OutputError",
     "Polygons",
     "Probability",
@@ -120,6 +122,7 @@ __all__ = [
     "hindcast",
     "member_path",
     "member_trajectories",
+    "multifidelity_probability",
     "objects",
     "open_forecast",
     "paper",

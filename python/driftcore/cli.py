@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import signal
 import sys
@@ -11,6 +12,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from time import perf_counter
@@ -256,8 +258,9 @@ def check(
 
     Everything is read, the wind is fitted, and a few members are followed.
     """
-    from driftcore.forecast import default_threads, planned
+    from driftcore.forecast import FIRST_LOOK, PRECISION, default_threads, planned
     from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
+    from driftcore.statistics import members_needed
 
     if picture is not None:
         from driftcore.drawing import check_picture
@@ -270,12 +273,20 @@ def check(
         with err.status("reading, fitting the wind, following a few members"):
             start = perf_counter()
             follow = planned(configuration, scenario.parent.resolve())
-            times, sizes, numbers = [], [], (min(_FEW, wanted.members), min(_MORE, wanted.members))
-            times.append(perf_counter() - start)
+            times, sizes = [perf_counter() - start], []
+            follow = partial(follow, precision=None, threads=threads)
+            if wanted.members == "auto":
+                # As far as a few tell.
+                p = follow(members=_MORE, keep=0).stranding_probability()
+                precision = wanted.precision or PRECISION
+                whole = max(FIRST_LOOK, members_needed((p.low + p.high) / 2, precision))
+            else:
+                whole = wanted.members
+            numbers = (min(_FEW, whole), min(_MORE, whole))
             for members in numbers:
                 start = perf_counter()
-                keep = round(members * min(1, wanted.keep / wanted.members))
-                forecast = follow(members=members, keep=keep, threads=threads)
+                keep = round(members * min(1, wanted.keep / whole))
+                forecast = follow(members=members, keep=keep)
                 times.append(perf_counter() - start)
                 sizes.append(forecast.dataset.nbytes)
             if picture is not None:
@@ -293,11 +304,11 @@ def check(
     reading, few, more = times
     between = max(1, numbers[1] - numbers[0])
     each, size = max(0.0, more - few) / between, (sizes[1] - sizes[0]) / between
-    rest = wanted.members - numbers[1]
+    rest = whole - numbers[1]
     seconds = reading + more + each * rest
     megabytes = (sizes[1] + size * rest) / 1e6
     estimate = {
-        "members": wanted.members,
+        "members": whole,
         "threads": threads or default_threads(),
         "preparation_s": reading + max(0.0, few - each * numbers[0]),
         "seconds": seconds,
@@ -309,9 +320,10 @@ def check(
         sys.stdout.write(json.dumps(about) + "\n")
         return
     table = _rows([*_set_up(forecast), *_how(forecast)])
+    at_precision = " or so, as precision takes" if wanted.members == "auto" else ""
     table.add_row(
         "cost",
-        f"{wanted.members} members: about {_duration(seconds)} on "
+        f"{whole} members{at_precision}: about {_duration(seconds)} on "
         f"{estimate['threads']} threads, {max(1, round(megabytes))} MB",
     )
     if not quiet:
@@ -752,10 +764,15 @@ def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     return sorted(told, key=lambda stretch: -stretch["probability"])
 
 
+def _or_none(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return None if math.isnan(value) else value
+
+
 def _result(forecast: Forecast) -> dict[str, Any]:
     # Without a member that could be followed there is no probability.
     p = forecast.stranding_probability() if forecast.followed else None
-    quantiles = forecast.stranding_time_quantiles().values
+    quantiles = forecast.stranding_time_quantiles()
     attributes = forecast.dataset.attrs
     targets = forecast.dataset["target"].values if "target" in forecast.dataset else ()
     entries = {str(name): forecast.entry_probability(name) for name in targets if p}
@@ -766,8 +783,11 @@ def _result(forecast: Forecast) -> dict[str, Any]:
         "level": p and p.level,
         **forecast.counts,
         "stranding_time_quantiles": {
-            str(q): None if t != t else float(t)
-            for q, t in zip((0.05, 0.5, 0.95), quantiles, strict=True)
+            str(t["quantile"].item()): _or_none(t.item()) for t in quantiles
+        },
+        "stranding_time_intervals": {
+            str(t["quantile"].item()): [_or_none(t[bound].item()) for bound in ("low", "high")]
+            for t in quantiles
         },
         "days_per_unit_of_time": _days_per_unit(forecast),
         "stretches": _stretches(forecast),
@@ -853,15 +873,25 @@ def _summary(forecast: Forecast, about: Iterable[tuple[str, str]] = ()) -> None:
         )
     early, middle, late = result["stranding_time_quantiles"].values()
     if middle is not None:
+        low, high = result["stranding_time_intervals"]["0.5"]
+        between = "" if None in (low, high) else f" ({low * unit:.1f} to {high * unit:.1f})"
         table.add_row(
             "when",
-            f"median {middle * unit:.1f} days; nine in ten between "
+            f"median {middle * unit:.1f} days{between}; nine in ten between "
             f"{early * unit:.1f} and {late * unit:.1f}",
         )
-        sectors = forecast.stranding_by_sector(8)["probability"].values
+        found = forecast.stranding_by_sector(8)
         names = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
-        ranked = sorted(zip(sectors, names, strict=True), reverse=True)[:3]
-        table.add_row("where", ", ".join(f"{name} {share:.3f}" for share, name in ranked if share))
+        shares = (found[key].values for key in ("probability", "low", "high"))
+        ranked = sorted(zip(*shares, names, strict=True), reverse=True)[:3]
+        table.add_row(
+            "where",
+            ", ".join(
+                f"{name} {share:.3f} ({low:.3f} to {high:.3f})"
+                for share, low, high, name in ranked
+                if share
+            ),
+        )
     for k, stretch in enumerate(result["stretches"][:_STRETCHES]):
         table.add_row(
             "" if k else "stretches",

@@ -165,30 +165,22 @@ def with_maps(
         followed_of(dataset),
     )
 
-    def variable(name: str, dims: tuple[str, ...], about: str, method: str | None = None) -> Any:
-        dims, values, attributes = _variable(dims, shares[name], about)
-        return (
-            dims,
-            values,
-            attributes | ({"cell_methods": f"map_time: {method}"} if method else {}),
-        )
-
-    half_width = "half-width of its Wilson interval at one standard deviation"
     on_maps = ("map_time", *cells)
-    mapped: dict[str, tuple[Any, ...]] = {
-        "presence": (on_maps, "probability of being afloat in the cell", "point"),
-        "presence_standard_error": (on_maps, f"presence: {half_width}", "point"),
-        "arrival": (
-            on_maps,
-            "probability of entering the cell for the first time within the interval",
-            "sum",
-        ),
-        "visit": (cells, "probability of entering the cell within the run, or starting there"),
-        "visit_standard_error": (cells, f"visit: {half_width}"),
-        "outside": (("map_time",), "probability of being afloat beyond the maps", "point"),
-        "ashore": (("map_time",), "probability of having stranded", "point"),
+    mapped: dict[str, tuple[tuple[str, ...], str, str | None]] = {
+        "presence": (on_maps, "of being afloat in the cell", "point"),
+        "arrival": (on_maps, "of entering the cell for the first time within the interval", "sum"),
+        "visit": (cells, "of entering the cell within the run, or starting there", None),
+        "outside": (("map_time",), "of being afloat beyond the maps", "point"),
+        "ashore": (("map_time",), "of having stranded", "point"),
     }
-    variables = {name: variable(name, *what) for name, what in mapped.items()}
+    half_width = "half-width of its Wilson interval at one standard deviation"
+    variables = {}
+    for name, (dims, event, method) in mapped.items():
+        told = {name: f"probability {event}", f"{name}_standard_error": f"{name}: {half_width}"}
+        for key, meaning in told.items():
+            variables[key] = _variable(dims, shares[key], meaning)
+            if method:
+                variables[key][2]["cell_methods"] = f"map_time: {method}"
     coordinates: dict[str, Any] = {}
     for name, edges in (("x", grid.x), ("y", grid.y)):
         lines = np.linspace(edges[0], edges[-1], len(edges))
@@ -211,13 +203,12 @@ def with_maps(
 
 
 def map_shares(counts: dict[str, NDArray[Any]], followed: int) -> dict[str, NDArray[np.float64]]:
-    """Give the shares of counts on maps among those followed, and the errors of some of them."""
-    shares = {
-        name: count / followed if followed else np.full(count.shape, np.nan)
-        for name, count in counts.items()
-    }
-    for name in ("presence", "visit"):
-        error = standard_error(counts[name], followed) if followed else shares[name]
+    """Give the shares of counts on maps among those followed, each with its standard error."""
+    shares = {}
+    for name, count in counts.items():
+        none = np.full(count.shape, np.nan)
+        shares[name] = count / followed if followed else none
+        error = standard_error(count, followed) if followed else none
         shares[f"{name}_standard_error"] = error
     return shares
 

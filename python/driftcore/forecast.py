@@ -7,9 +7,9 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from driftcore import _core
 from driftcore.dataset import (
     STATUSES,
+    combined,
     ensemble_attributes,
     forecast_dataset,
     is_geographic,
@@ -41,7 +42,13 @@ from driftcore.scenario import (
     WindConfiguration,
     check_order,
 )
-from driftcore.statistics import Probability, probability
+from driftcore.statistics import (
+    Probability,
+    members_needed,
+    probability,
+    quantile_interval,
+    wilson,
+)
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
@@ -55,6 +62,8 @@ if TYPE_CHECKING:
     from driftcore.hand_over import HandOver
 
 Progress = Callable[[int, int], None]
+_P = ParamSpec("_P")
+_F = TypeVar("_F", bound="Forecast")
 Floats = NDArray[np.float64]
 
 # Tides of wind drawn before the release, the same for every model so that a member has one wind:
@@ -62,6 +71,10 @@ Floats = NDArray[np.float64]
 _LEAD_IN_TIDES = 3
 # Members between two reports of progress, at least: what is shared is prepared anew for each.
 _LEAST_CHUNK = 1024
+# Members of the first look at a probability, and the growth from one look to the next at least.
+FIRST_LOOK, _LEAST_GROWTH = 1000, 1.05
+# Half-width sought where none is named.
+PRECISION = 0.01
 # Small-scale steps in a tide, paper section 4.1.
 _FINE_STEPS = 100
 # As in rust/src/python.rs: more than any machine has processors.
@@ -163,11 +176,77 @@ def trajectory(
     return trajectory_dataset(scenario, instants, found, attributes)
 
 
+def until_precise(follow: Callable[_P, _F]) -> Callable[_P, _F]:
+    """Let a forecast be asked for members = "auto": in parts until its interval is narrow enough.
+
+    The number of members is decided a few times, each time from all that is known: where the
+    interval is too wide still, as many follow as (51) tells from its centre. Looking so seldom
+    leaves the coverage of the interval as it is (docs/trust.md).
+    """
+
+    @wraps(follow)
+    def found(*args: _P.args, **kwargs: _P.kwargs) -> _F:
+        options: dict[str, Any] = dict(kwargs)
+        if options.get("members") != "auto":
+            if options.get("precision") is not None:
+                raise ScenarioError(
+                    f"precision: {options['precision']!r} is not accepted with members = "
+                    f'{options.get("members")!r}; with members = "auto" it is'
+                )
+            return follow(*args, **kwargs)
+        if options.get("first_member"):
+            raise ScenarioError('first_member: with members = "auto" only 0 is accepted')
+        precision = options["precision"] = options.get("precision") or PRECISION
+        if not (isinstance(precision, float) and 1e-4 <= precision < 0.5):
+            raise ScenarioError(
+                f"precision: {precision!r} is not accepted; a number from 0.0001 to 0.5 is"
+            )
+        progress: Progress | None = options.get("progress")
+        parts: list[xr.Dataset] = []
+        told: dict[str, warnings.WarningMessage] = {}
+        members, wanted = 0, FIRST_LOOK
+        while True:
+
+            def report(done: int, _: int, before: int = members, planned: int = wanted) -> None:
+                if progress is not None:
+                    progress(before + done, planned)
+
+            options |= {"first_member": members, "members": wanted - members, "progress": report}
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                part = follow(*args, **options)
+            told |= {str(warning.message): warning for warning in caught}
+            parts.append(part.dataset)
+            whole = type(part)(combined(parts))
+            members, wanted = (
+                wanted,
+                next_look(whole.stranding_probability(), wanted, precision),
+            )
+            if wanted == members:
+                break
+        for warning in told.values():
+            warnings.warn(str(warning.message), warning.category, stacklevel=2)
+        return whole
+
+    return found
+
+
+def next_look(found: Probability, members: int, precision: float) -> int:
+    """Give the number of members to look at next: equations.md (51); no more if precise enough."""
+    if found.half_width <= precision:
+        return members
+    # Members that fail do not count.
+    needed = members_needed((found.low + found.high) / 2, precision) * members / found.members
+    return math.ceil(max(needed, _LEAST_GROWTH * members))
+
+
+@until_precise
 def forecast(
     scenario: Scenario | GeographicScenario,
     wind: LocalGridBootstrap | HandOver | Sequence[WindPath] | WindPaths | None = None,
     *,
-    members: int | None = None,
+    members: int | Literal["auto"] | None = None,
+    precision: float | None = None,
     first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
@@ -197,8 +276,12 @@ def forecast(
     wind : LocalGridBootstrap, sequence of WindPath, or WindPaths, optional
         The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate. Or the
         winds themselves, one member each. On the real sea also a `HandOver` from today's forecast.
-    members : int, optional
-        Number of members; default 1000, or as many as there are paths.
+    members : int or "auto", optional
+        Number of members; default 1000, or as many as there are paths. "auto": as many as
+        `precision` takes.
+    precision : float, optional
+        With members = "auto", the half-width of the 95 % interval of the probability of stranding
+        that is to be reached, from 0.0001 to 0.5; default 0.01.
     first_member : int
         Index of the first of them: parts of one ensemble are made apart, of the same arguments
         else, and put together by `driftcore.dataset.combined`.
@@ -285,7 +368,8 @@ def forecast(
     instants = _output_times(times, scenario.duration)
     # A part names the run from member 0 on that ends with it: the last part names the whole.
     settings = EnsembleConfiguration(
-        members=first_member + members,
+        members="auto" if precision else first_member + members,
+        precision=precision,
         seed=seed,
         model=model,
         order=order,
@@ -371,8 +455,8 @@ class Forecast:
         `position(member, time, component)` and `wind_velocity(member, wind_time, component)` of
         the kept members (dimension `kept_member` where not all are kept). Its attributes hold the
         configuration, version and seed, enough to run it again. With maps: `presence`, `arrival`
-        (map_time, y, x), `visit(y, x)`, `outside` and `ashore(map_time)`; with targets:
-        `entry_time(member, target)`.
+        (map_time, y, x), `visit(y, x)`, `outside` and `ashore(map_time)`, each with its
+        `..._standard_error`; with targets: `entry_time(member, target)`.
     """
 
     dataset: xr.Dataset
@@ -452,8 +536,6 @@ class Forecast:
         """
         import xarray as xr
 
-        from driftcore.statistics import wilson
-
         sectors = checked_count("sectors", sectors)
         self.stranding_probability()  # refuses where no member could be followed
         places = self._places()
@@ -474,14 +556,19 @@ class Forecast:
     def stranding_time_quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> xr.DataArray:
         """Quantiles of the stranding time among the stranded members [scenario time].
 
-        NaN where none stranded.
-        """
-        import xarray as xr
+        Parameters
+        ----------
+        levels : sequence of float
+            Of the quantiles.
 
+        Returns
+        -------
+        xarray.DataArray
+            By `quantile`, NaN where none stranded; its coordinates `low` and `high` are the 95 %
+            interval of each, NaN where too few stranded to tell.
+        """
         times = self.dataset["stranding_time"].values
-        times = times[np.isfinite(times)]
-        values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
-        return xr.DataArray(values, {"quantile": list(levels)}, name="stranding_time")
+        return time_quantiles(times[np.isfinite(times)], levels)
 
     def _places(self) -> Floats:
         """Places of stranding relative to the circle's centre, or the release."""
@@ -521,6 +608,18 @@ class Forecast:
         strands = self.stranding_probability() if self.followed else "unknown"
         members = self.dataset.sizes["member"]
         return f"Forecast({members} members, probability of stranding {strands})"
+
+
+def time_quantiles(times: Floats, levels: Sequence[float], units: str = "1") -> xr.DataArray:
+    """Quantiles of times by `quantile`, with their 95 % intervals `low` and `high`."""
+    import xarray as xr
+
+    low, high = quantile_interval(times, levels)
+    coordinates = {"quantile": list(levels), "low": ("quantile", low), "high": ("quantile", high)}
+    values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
+    return xr.DataArray(
+        values, coordinates, "quantile", name="stranding_time", attrs={"units": units}
+    )
 
 
 def run(
@@ -586,7 +685,7 @@ def run(
         progress=progress,
         client=client,
     )
-    return _forecast_of(dataset)
+    return forecast_of(dataset)
 
 
 def planned(
@@ -610,6 +709,7 @@ def planned(
             sea,
             fitted_wind(whole.wind),
             members=members.members,
+            precision=members.precision,
             model=members.model,
             order=members.order,
             seed=members.seed,
@@ -641,6 +741,7 @@ def planned(
         scenario,
         fitted_wind(configuration.wind, folder),
         members=settings.members,
+        precision=settings.precision,
         model=settings.model,
         order=settings.order,
         seed=settings.seed,
@@ -1121,14 +1222,14 @@ def _output_times(times: ArrayLike, duration: float) -> Floats:
     return np.ascontiguousarray(instants)
 
 
-def checked_count(field: str, value: int, least: int = 1) -> int:
+def checked_count(field: str, value: Any, least: int = 1) -> int:
     """Refuse what is not a whole number from `least` up."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ScenarioError(f"{field}: {value!r} is not accepted; a whole number from {least} up")
     return int(value)
 
 
-def members_of(members: int | None, first_member: int, paths: int | None = None) -> int:
+def members_of(members: int | str | None, first_member: int, paths: int | None = None) -> int:
     """Check a range of members, of as many as there are paths where the wind is given by them."""
     first = checked_count("first_member", first_member, least=0)
     if paths is None:

@@ -334,7 +334,7 @@ class GeographicConfiguration(Configuration):
     @model_validator(mode="after")
     def _fits_memory(self) -> Self:
         ensemble = self.ensemble
-        kept = max(1, min(ensemble.keep, ensemble.members)) * self.days * 24 / ensemble.outputs_h
+        kept = max(1, ensemble.most_kept) * self.days * 24 / ensemble.outputs_h
         if kept > MOST_POSITIONS:
             raise ValueError(
                 f"ensemble.keep: {ensemble.keep} is not accepted; with outputs_h = "

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,8 @@ from driftcore.forecast import (
     kept_of,
     members_of,
     solver_of,
+    time_quantiles,
+    until_precise,
     warn_of_failures,
 )
 from driftcore.geographic import GeographicScenario
@@ -111,11 +113,13 @@ def geographic_trajectory(
     return xr.Dataset(variables, {"time": ("time", scenario.instants(instants))}, attributes)
 
 
+@until_precise
 def geographic_forecast(
     scenario: GeographicScenario,
     wind: GeographicWind,
     *,
-    members: int | None = None,
+    members: int | Literal["auto"] | None = None,
+    precision: float | None = None,
     first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
@@ -138,6 +142,7 @@ def geographic_forecast(
     [longitude, latitude] points, or `Polygons`. `configuration` is the TOML text, if any, that the
     arguments come from: it is stored, so that `driftcore run` repeats it.
     """
+    del precision  # sought by what calls this
     _require_geographic(scenario)
     order, solver = _solver(scenario, model, order, rtol, atol)
     if model == "mean-flow":
@@ -246,8 +251,9 @@ class GeographicForecast(Forecast):
         -------
         xarray.Dataset
             By `stretch`: `probability`, `low`, `high` (95 % Wilson) and `time_quantile`
-            (quantile, stretch) of the stranding time since the earliest release [d]. What strands
-            outside all stretches is called "elsewhere".
+            (quantile, stretch) of the stranding time since the earliest release [d], with
+            `time_low` and `time_high` as in `stranding_time_quantiles`. What strands outside all
+            stretches is called "elsewhere".
         """
         import xarray as xr
 
@@ -264,28 +270,26 @@ class GeographicForecast(Forecast):
         counts = np.bincount(stretch, minlength=len(names))
         low, high = wilson(counts, self.followed)
         levels = [0.05, 0.5, 0.95]
-        quantiles = np.full((len(levels), len(names)), np.nan)
-        for k in np.flatnonzero(counts):
-            quantiles[:, k] = np.quantile(days[stretch == k], levels)
+        when = xr.concat(
+            [time_quantiles(days[stretch == k], levels, "days") for k in range(len(names))],
+            "stretch",
+            coords=["low", "high"],
+        ).transpose("quantile", "stretch")
         return xr.Dataset(
             {
                 "probability": ("stretch", counts / self.followed),
                 "low": ("stretch", low),
                 "high": ("stretch", high),
-                "time_quantile": (("quantile", "stretch"), quantiles, {"units": "days"}),
+                "time_quantile": when.variable,
+                "time_low": when["low"].variable,
+                "time_high": when["high"].variable,
             },
             {"stretch": names, "quantile": levels},
         )
 
     def stranding_time_quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> xr.DataArray:
-        """Quantiles of the time from the earliest release to the stranding [d]; NaN where none."""
-        import xarray as xr
-
-        days = self._stranding_days
-        values = np.quantile(days, levels) if len(days) else np.full(len(levels), np.nan)
-        return xr.DataArray(
-            values, {"quantile": list(levels)}, name="stranding_time", attrs={"units": "days"}
-        )
+        """Quantiles of the time from the earliest release to the stranding [d]: see `Forecast`."""
+        return time_quantiles(self._stranding_days, levels, "days")
 
     def _places(self) -> Floats:
         """Places of stranding relative to the middle of the releases, in local degrees of arc."""
