@@ -124,7 +124,7 @@ def _page(forecast: Forecast, coast: LandCoast | None) -> str:
         figures["curve"] = _curve(case)
     data = resources.files("driftcore") / "data"
     scripts = [
-        *Resources(mode="inline", components=["bokeh"]).js_raw,
+        *Resources(mode="inline", components=["bokeh"], log_level="warn").js_raw,
         (data / "report.js").read_text(encoding="utf-8"),
     ]
     # The page runs these scripts, to the letter, and no other; and it loads nothing.
