@@ -28,7 +28,7 @@ from driftcore.errors import OutputError
 SMALL = "[ensemble]\nmembers = 3\n[wind]\nh = 0.3\n"
 OF_FILE = SMALL + 'record = "wind.csv"\n'
 RECORD = synthetic_record(3)
-FIGURES = {"trajectories.png", "roses.png", "stranding_times.png"}
+FIGURES = {"trajectories.png", "roses.png", "stranding_times.png", "estimate.png"}
 
 
 class Result(NamedTuple):

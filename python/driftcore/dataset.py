@@ -108,6 +108,8 @@ def forecast_dataset(
     """All members: shapes (member,), (member, 2), kept (kept, time, 2), (kept, wind_time, 2)."""
     import xarray as xr
 
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
+
     dim, coordinates = member_coordinates(first_member, len(status), len(position))
     variables = {
         "status": (("member",), status, STATUS_ATTRIBUTES),
@@ -323,6 +325,14 @@ def ensemble_attributes(scenario: str, members: int) -> dict[str, Any]:
     }
 
 
+def wind_label(dataset: xr.Dataset) -> str:
+    """Say which wind a dataset was computed with, and that it is synthetic where it is."""
+    label = str(dataset.attrs.get("wind_label", "")).strip()
+    if dataset.attrs.get("wind_synthetic", 0) and "synthetic" not in label.lower():
+        label = f"{label} (synthetic)" if label else "synthetic"
+    return label
+
+
 def provenance(command: str) -> dict[str, str]:
     """Attributes that say what wrote a file, and when."""
     from driftcore import __version__
@@ -350,7 +360,7 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
     }
     # A coordinate has no missing values (CF 2.5.1), and so none that stands for them.
     encoding |= {name: {"_FillValue": None} for name in dataset.coords}
-    dataset = _times_as_numbers(dataset)
+    dataset = times_as_numbers(dataset)
     with replacing(path, overwrite) as temporary:
         # The HDF5 library brings the process down when the disk fills up under it.
         needed, free = dataset.nbytes + _FILE_OVERHEAD, shutil.disk_usage(temporary.parent).free
@@ -359,11 +369,12 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
 
 
-def _times_as_numbers(dataset: xr.Dataset) -> xr.Dataset:
+def times_as_numbers(dataset: xr.Dataset, since: np.datetime64 | None = None) -> xr.Dataset:
     """Give times as whole numbers of the longest unit in which none of them is rounded.
 
     Programs read seconds more widely than nanoseconds. All times have the same unit and origin:
-    bounds must have those of what they bound (CF 7.1).
+    bounds must have those of what they bound (CF 7.1). Or as nanoseconds `since` a day, whatever
+    they are: the same for every part of an ensemble.
     """
     # What a dataset was read with would stand beside what is set here.
     dataset = dataset.drop_encoding()
@@ -372,12 +383,13 @@ def _times_as_numbers(dataset: xr.Dataset) -> xr.Dataset:
         known = [v.values[~np.isnat(v.values)] for v in times.values()]
         instants = np.concatenate([*known, np.zeros(0, dtype="datetime64[ns]")])
         first = instants.min() if len(instants) else np.datetime64(0, "ns")
-        day = first.astype("datetime64[D]")
+        day = first.astype("datetime64[D]") if since is None else since
         origin = day.astype("datetime64[ns]")
         unit, length = next(
             (unit, length)
             for unit, length in _TIME_UNITS.items()
-            if not ((instants - origin).astype(np.int64) % length).any()
+            if (since is None or length == 1)
+            and not ((instants - origin).astype(np.int64) % length).any()
         )
         attributes = {"units": f"{unit} since {day} 00:00:00", "calendar": "proleptic_gregorian"}
         for name, variable in times.items():
@@ -398,6 +410,8 @@ def read_netcdf(path: Path) -> xr.Dataset:
         The file is missing, is not NetCDF, or was not written by driftcore.
     """
     import xarray as xr
+
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
 
     try:
         if not path.exists():

@@ -52,7 +52,9 @@ from driftcore.statistics import (
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
+    from dask.distributed import Client
 
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_configuration import GeographicConfiguration
@@ -470,6 +472,12 @@ class Forecast:
         """Members that could be followed: all but the failed ones."""
         return self.dataset.sizes["member"] - self.counts["failed"]
 
+    @property
+    def days_per_unit(self) -> float:
+        """Days in the unit of its stranding times."""
+        attributes = self.dataset.attrs
+        return float(attributes["tide_period_h"] / attributes["epsilon"] / 24)
+
     def stranding_probability(self, by: float | None = None) -> Probability:
         """Probability of having stranded by a time (default: the end of the run).
 
@@ -581,6 +589,17 @@ class Forecast:
         """TOML text of the run; `driftcore run` reads it."""
         return str(self.dataset.attrs["configuration"])
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give a row for each member: see `driftcore.export.members_table`."""
+        from driftcore.export import members_table
+
+        return members_table(self)
+
+    def _repr_html_(self) -> str:
+        from driftcore.html import forecast_table
+
+        return forecast_table(self)
+
     def to_netcdf(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Write the dataset as NetCDF-4: to a temporary name first, then renamed.
 
@@ -615,6 +634,11 @@ def run(
     folder: Path | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    chunk: int | None = None,
+    client: Client | None = None,
 ) -> Forecast:
     """Run a whole configuration: fit the wind it names, then forecast.
 
@@ -626,8 +650,48 @@ def run(
         Where relative paths start; default the working folder.
     threads, progress
         As in `forecast`.
+    store : path, optional
+        Name of a Zarr store, ending in .zarr. Members are written to it chunk by chunk, so that
+        memory does not grow with their number, and a run that is stopped, however, loses no
+        finished chunk: it grows as `NAME.zarr.part` and gets its name when it is whole. The
+        forecast is that of a run without a store, bit for bit, read lazily.
+    resume : bool
+        Go on with what is in the store, or begin where nothing is. A chunk that was damaged is
+        followed again, which is warned of.
+    overwrite : bool
+        Replace a store that is there; begin anew where a run is unfinished, unless `resume`.
+    chunk : int, optional
+        Members in a chunk of the store; by default a hundredth of all, within bounds.
+    client : dask.distributed.Client, optional
+        Workers that follow the chunks, with all their threads; this process writes.
+
+    Raises
+    ------
+    ScenarioError, RecordError
+        As in `forecast`, and for a file that does not serve.
+    OutputError
+        The store cannot be written, is in use, or is of another run: what differs is told.
     """
-    return planned(configuration, folder)(threads=threads, progress=progress)
+    if store is None:
+        given = {"resume": resume, "overwrite": overwrite, "chunk": chunk, "client": client}
+        for name, value in given.items():
+            if value:
+                raise ScenarioError(f"{name}: {value!r} is not accepted without a store")
+        return planned(configuration, folder)(threads=threads, progress=progress)
+    from driftcore.store import run_stored
+
+    dataset = run_stored(
+        configuration,
+        Path(store),
+        folder=folder,
+        resume=resume,
+        overwrite=overwrite,
+        chunk=chunk,
+        threads=threads,
+        progress=progress,
+        client=client,
+    )
+    return forecast_of(dataset)
 
 
 def planned(
@@ -718,7 +782,7 @@ def fitted_wind(wind: WindConfiguration, folder: Path | None = None) -> LocalGri
 
 
 def open_forecast(path: str | os.PathLike[str]) -> Forecast:
-    """Read a forecast written by `Forecast.to_netcdf`.
+    """Read a forecast written by `Forecast.to_netcdf`, or open a store lazily: a folder, .zarr.
 
     Returns
     -------
@@ -728,9 +792,17 @@ def open_forecast(path: str | os.PathLike[str]) -> Forecast:
     Raises
     ------
     OutputError
-        The file is missing or is not a driftcore forecast.
+        The file is missing or is not a driftcore forecast, or the store is unfinished.
     """
-    dataset = read_netcdf(Path(path))
+    if Path(path).suffix == ".zarr":
+        from driftcore.store import open_store
+
+        return forecast_of(open_store(Path(path)))
+    return forecast_of(read_netcdf(Path(path)))
+
+
+def forecast_of(dataset: xr.Dataset) -> Forecast:
+    """Give the forecast that a dataset is, a `GeographicForecast` where it is one."""
     if is_geographic(dataset):
         from driftcore.geographic_forecast import GeographicForecast
 

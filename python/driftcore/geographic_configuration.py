@@ -520,8 +520,8 @@ def _existing(where: str, start: Path, name: str) -> list[str]:
     return found
 
 
-def read_configuration(path: Path) -> GeographicConfiguration | RunConfiguration:
-    """Read a scenario file: `kind = "geographic"` makes it one of the real sea.
+def read_configuration(path: str | Path) -> GeographicConfiguration | RunConfiguration:
+    """Read a scenario file, or its text: `kind = "geographic"` makes it one of the real sea.
 
     Raises
     ------

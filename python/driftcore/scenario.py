@@ -131,6 +131,11 @@ class Scenario(Configuration):
             )
         return self
 
+    def _repr_html_(self) -> str:
+        from driftcore.html import scenario_table
+
+        return scenario_table(self)
+
     @property
     def period(self) -> float:
         """Tide period [scenario time]."""
