@@ -38,7 +38,7 @@ from driftcore.statistics import Probability
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
-    from driftcore import coast, currents, hindcast, objects, tides, verification
+    from driftcore import coast, currents, hindcast, objects, report, tides, verification
     from driftcore.coast import LandCoast
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
@@ -72,7 +72,7 @@ _OF_THE_REAL_SEA = {
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("coast", "currents", "hindcast", "objects", "tides", "verification"):
+    if name in ("coast", "currents", "hindcast", "objects", "report", "tides", "verification"):
         return import_module(f"driftcore.{name}")
     if name in _OF_THE_REAL_SEA:
         return getattr(import_module(f"driftcore.{_OF_THE_REAL_SEA[name]}"), name)
@@ -131,6 +131,7 @@ __all__ = [
     "read_vector_grid",
     "read_wind_grid",
     "record_paths",
+    "report",
     "run",
     "tides",
     "trajectory",

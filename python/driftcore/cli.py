@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import signal
 import sys
 import threading
@@ -36,9 +35,8 @@ from typer.core import TyperGroup
 
 from driftcore import __version__
 from driftcore.coast import place_name
-from driftcore.configuration import read_toml
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
-from driftcore.geographic import Scaling
+from driftcore.words import how, set_up
 
 if TYPE_CHECKING:
     from driftcore.coast import LandCoast
@@ -289,11 +287,11 @@ def check(
                 sizes.append(forecast.dataset.nbytes)
             if picture is not None:
                 from driftcore.drawing import save_figures
-                from driftcore.plot_setup import set_up
+                from driftcore.plot_setup import set_up as draw_set_up
 
                 given = follow.keywords
                 sea, winds = follow.args
-                drawn: Any = set_up(sea, winds, given["maps"], given["targets"])
+                drawn: Any = draw_set_up(sea, winds, given["maps"], given["targets"])
                 save_figures({picture.stem: drawn[0].figure}, picture.parent, overwrite)
     told = [str(w.message) for w in caught if issubclass(w.category, DriftCoreWarning)]
     if isinstance(configuration, GeographicConfiguration):
@@ -317,7 +315,7 @@ def check(
         about = {"attributes": _attributes(forecast), "estimate": estimate, "warnings": told}
         sys.stdout.write(json.dumps(about) + "\n")
         return
-    table = _rows([*_set_up(forecast), *_how(forecast)])
+    table = _rows([*set_up(forecast), *how(forecast)])
     at_precision = " or so, as precision takes" if wanted.members == "auto" else ""
     table.add_row(
         "cost",
@@ -477,7 +475,7 @@ def info(forecast: ForecastFile, as_json: AsJson = False) -> None:
         about = {**_result(opened), "attributes": _attributes(opened)}
         sys.stdout.write(json.dumps(about) + "\n")
         return
-    _summary(opened, [*_set_up(opened), ("written", opened.dataset.attrs["history"])])
+    _summary(opened, [*set_up(opened), ("written", opened.dataset.attrs["history"])])
 
 
 @app.command(rich_help_panel="Results")
@@ -511,7 +509,7 @@ def plot(
             from driftcore import plot_map
             from driftcore.coast import LandCoast
 
-            land = _divided(opened) if coast is None else LandCoast.from_file(coast)
+            land = _own_coast(opened) if coast is None else LandCoast.from_file(coast)
             land = land or LandCoast.default()
             written = plot_map.save_all(dataset, folder, land)
         else:
@@ -588,6 +586,35 @@ def export(
     chosen: Any = written_as  # anything else is refused by its name
     write_export(open_forecast(forecast), output, chosen, overwrite)
     _list_written([output], quiet, as_json)
+
+
+@app.command(rich_help_panel="Results")
+def report(
+    forecast: ForecastFile,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="HTML file to write; default beside the forecast."),
+    ] = None,
+    coast: Annotated[
+        Path | None,
+        typer.Option(help="Land to draw on the real sea; default that of the scenario."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Silent = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a forecast as one page for whoever must decide: map, coast, arrival, limits.
+
+    It opens in any browser, asks for no network, and prints.
+    """
+    from driftcore import report as page
+    from driftcore.coast import LandCoast
+    from driftcore.forecast import open_forecast
+
+    target = forecast.with_suffix(".html") if output is None else output
+    land = None if coast is None else LandCoast.from_file(coast)
+    page.write(open_forecast(forecast), target, land, overwrite)
+    _list_written([target], quiet, as_json)
 
 
 @app.command(rich_help_panel="Results")
@@ -715,26 +742,17 @@ def _attributes(forecast: Forecast) -> dict[str, Any]:
     }
 
 
-def _days_per_unit(forecast: Forecast) -> float:
-    """Days in the unit of its stranding times."""
-    attributes = forecast.dataset.attrs
-    if "days" in attributes:
-        return 1.0
-    return float(attributes["tide_period_h"] / attributes["epsilon"] / 24)
+def _own_coast(forecast: Forecast) -> LandCoast | None:
+    """Coast of a run on the real sea, with its stretches, if its file is still there."""
+    from driftcore.geographic_forecast import GeographicForecast
 
-
-def _divided(forecast: Forecast) -> LandCoast | None:
-    """Coast of the run with its stretches, where its scenario divides it."""
-    from driftcore.geographic_configuration import GeographicConfiguration
-
-    text = forecast.configuration()
-    if "kind" not in read_toml(text):  # made in Python
+    if not isinstance(forecast, GeographicForecast):
         return None
     try:
-        return GeographicConfiguration.from_toml(text).stretches()
+        return forecast.coast()
     except DriftCoreError as error:
         # The forecast outlives the files it was made from.
-        _say("yellow", "warning", f"no stretches of the coast: {error}")
+        _say("yellow", "warning", f"its coast cannot be read: {error}")
         return None
 
 
@@ -742,11 +760,10 @@ def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     """Probabilities by stretch of the coast, the greatest first, where it is divided."""
     from driftcore.geographic_forecast import GeographicForecast
 
-    if not isinstance(forecast, GeographicForecast) or not forecast.followed:
+    coast = _own_coast(forecast)
+    if coast is None or not coast.stretches or not forecast.followed:
         return []
-    coast = _divided(forecast)
-    if coast is None:
-        return []
+    assert isinstance(forecast, GeographicForecast)  # noqa: S101 (for the type checker)
     found = forecast.stranding_by_stretch(coast)
     told = []
     for name, p, low, high in zip(
@@ -787,7 +804,7 @@ def _result(forecast: Forecast) -> dict[str, Any]:
             str(t["quantile"].item()): [_or_none(t[bound].item()) for bound in ("low", "high")]
             for t in quantiles
         },
-        "days_per_unit_of_time": _days_per_unit(forecast),
+        "days_per_unit_of_time": forecast.days_per_unit,
         "stretches": _stretches(forecast),
         "targets": {
             name: {"probability": e.estimate, "low": e.low, "high": e.high}
@@ -814,55 +831,13 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.1f} s"
 
 
-def _set_up(forecast: Forecast) -> Iterator[tuple[str, str]]:
-    """Tell what a forecast is of, from its attributes."""
-    about = forecast.dataset.attrs
-    yield "scenario", str(about["scenario"])
-    if "days" not in about:
-        yield "release", f"{about['release']}, in units of the paper"
-        drag = about["drag"] / _days_per_unit(forecast)
-        yield "object", f"floating body, drag rate {about['drag']:g} ({drag:.2g} per day)"
-        yield "tide", f"{about['tide_period_h']:g} h, epsilon {about['epsilon']:.4g}"
-        yield "coast", str(about.get("coast", "none"))
-        return
-    yield "release", str(about["release"])
-    drifter = read_toml(about["drifter"])
-    if "category" in drifter:
-        known = f"leeway of {drifter['category']}"
-    else:
-        response, factor = (
-            value["kind"] if isinstance(value, dict) else f"{value:g}"
-            for value in (drifter["response_time_h"], drifter["wind_factor"])
-        )
-        known = f"floating body, response time {response} h, wind factor {factor}"
-    yield "object", known
-    for name in ("tides", "current", "coast"):
-        yield name, re.sub(r"^<?[A-Z]\w+[ (](.*)[>)]$", r"\1", str(about[name]))
-    scale = {key: about[f"scaling_{key}"] for key in Scaling._fields}
-    yield (
-        "scaling",
-        f"epsilon {scale['epsilon']:.2g} (a tide of {about['tide_period_h']:.2f} h over "
-        f"{about['days']:g} days); tide up to {scale['tide']:.2g} m/s, residual "
-        f"{scale['residual']:.2g} m/s; tidal excursion {scale['excursion_km']:.1f} km, over which "
-        f"the tide changes by {scale['steepness']:.0%}",
-    )
-
-
-def _how(forecast: Forecast) -> Iterator[tuple[str, str]]:
-    """Tell by which wind and model."""
-    about = forecast.dataset.attrs
-    order = f", order {about['order']}" if "order" in about else ""
-    yield "wind", about["wind_label"]
-    yield "model", f"{about['model']}{order}, seed {about['seed']}"
-
-
 def _summary(forecast: Forecast, about: Iterable[tuple[str, str]] = ()) -> None:
     result = _result(forecast)
     attributes = forecast.dataset.attrs
     unit = result["days_per_unit_of_time"]
     days = attributes["days"] if "days" in attributes else attributes["duration"] * unit
     run = ("run", f"{attributes['members']} members, {days:.1f} days")
-    table = _rows([*about, *_how(forecast), run])
+    table = _rows([*about, *how(forecast), run])
     if forecast.followed:
         table.add_row(
             "strands",

@@ -472,6 +472,12 @@ class Forecast:
         """Members that could be followed: all but the failed ones."""
         return self.dataset.sizes["member"] - self.counts["failed"]
 
+    @property
+    def days_per_unit(self) -> float:
+        """Days in the unit of its stranding times."""
+        attributes = self.dataset.attrs
+        return float(attributes["tide_period_h"] / attributes["epsilon"] / 24)
+
     def stranding_probability(self, by: float | None = None) -> Probability:
         """Probability of having stranded by a time (default: the end of the run).
 

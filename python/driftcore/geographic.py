@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from driftcore.earth import RADIUS_M
 from driftcore.errors import DriftCoreWarning, ScenarioError
 from driftcore.objects import FloatingBody, Leeway
 from driftcore.releases import Release, Releases
@@ -26,9 +27,8 @@ if TYPE_CHECKING:
 
 _DAY = np.timedelta64(86_400_000_000_000, "ns")
 _SECONDS_PER_DAY = 86_400.0
-_EARTH_RADIUS = 6_371_008.8
 # Degrees a day on a great circle for each m/s: rust/src/geometry.rs.
-_DEGREES = math.degrees(_SECONDS_PER_DAY / _EARTH_RADIUS)
+_DEGREES = math.degrees(_SECONDS_PER_DAY / RADIUS_M)
 # The principal lunar tide, where a scenario has none: it still says how long a step may be.
 _M2_DAYS = 0.517525
 # Beyond these the ordering that averaging needs is in doubt.
@@ -53,6 +53,23 @@ class Scaling(NamedTuple):
     """Change of the tidal current over the excursion, as a share of the current."""
     unit_length_km: float
     """What the tidal current would cover in the run [km]."""
+
+    def problems(self) -> list[str]:
+        """Say what is not small."""
+        found = []
+        if self.tide and self.epsilon > _LARGEST_EPSILON:
+            found.append(f"epsilon = {self.epsilon:.2g} (a tide over the run)")
+        if self.steepness > _LARGEST_STEEPNESS:
+            found.append(
+                f"the tidal current changes by {self.steepness:.0%} over its own excursion of "
+                f"{self.excursion_km:.1f} km"
+            )
+        if self.tide and self.residual > self.tide:
+            found.append(
+                f"the residual current ({self.residual:.2g} m/s) exceeds the tide "
+                f"({self.tide:.2g} m/s)"
+            )
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,7 +416,7 @@ class GeographicScenario:
     def _steepness(self, omega: Floats) -> float:
         """`Σ|∇Z_k|/ω_k` at its 99th percentile over the sea."""
         assert self.tides is not None  # noqa: S101 (asked only where there are tides)
-        metre = 1 / math.radians(1) / _EARTH_RADIUS
+        metre = 1 / math.radians(1) / RADIUS_M
         total: Any = 0.0
         for name in ("u", "v"):
             values = self.tides.dataset[name].values
@@ -412,20 +429,7 @@ class GeographicScenario:
 
     def warn(self) -> None:
         """Say where the ordering that averaging needs does not hold."""
-        scaling = self.scaling
-        problems = []
-        if scaling.tide and scaling.epsilon > _LARGEST_EPSILON:
-            problems.append(f"epsilon = {scaling.epsilon:.2g} (a tide over the run)")
-        if scaling.steepness > _LARGEST_STEEPNESS:
-            problems.append(
-                f"the tidal current changes by {scaling.steepness:.0%} over its own excursion of "
-                f"{scaling.excursion_km:.1f} km"
-            )
-        if scaling.tide and scaling.residual > scaling.tide:
-            problems.append(
-                f"the residual current ({scaling.residual:.2g} m/s) exceeds the tide "
-                f"({scaling.tide:.2g} m/s)"
-            )
+        problems = self.scaling.problems()
         if problems:
             warnings.warn(
                 "averaging takes for small what here is not: "

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
+from driftcore.configuration import read_toml
 from driftcore.dataset import (
     STATUS_ATTRIBUTES,
     STATUSES,
@@ -210,6 +211,32 @@ class GeographicForecast(Forecast):
         `stranding_longitude`, `stranding_latitude`, `release_time`, `release_longitude`,
         `release_latitude`; `longitude` and `latitude` (member or kept_member, time) [degrees].
     """
+
+    @property
+    def days_per_unit(self) -> float:
+        """1: on the real sea times are counted in days."""
+        return 1.0
+
+    def coast(self) -> LandCoast | None:
+        """Read the coast of its configuration again, with the stretches named there.
+
+        Returns
+        -------
+        LandCoast or None
+            None where the forecast has no coast, or was made in Python and no file names it.
+
+        Raises
+        ------
+        DriftCoreError
+            The file is no longer there, or does not serve.
+        """
+        from driftcore.geographic_configuration import GeographicConfiguration
+
+        text = self.configuration()
+        if "kind" not in read_toml(text):  # made in Python
+            return None
+        coast = GeographicConfiguration.from_toml(text).coast
+        return None if coast is None else coast.divided()
 
     def stranding_probability(self, by: Any = None) -> Probability:
         """Probability of having stranded by a time (UTC; default: the end of the run)."""
