@@ -54,9 +54,9 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as cause:
-            ended = isinstance(cause, Terminated) or isinstance(cause.__context__, Terminated)
-            told = f"{'terminated' if ended else 'interrupted'}; nothing was written"
-            err.print(escape(str(cause) or told))
+            ended = isinstance(cause, Terminated)
+            left = str(cause) or "nothing was written"
+            err.print(f"{'terminated' if ended else 'interrupted'}; {escape(left)}", soft_wrap=True)
             raise typer.Exit(143 if ended else 130) from None
 
 
@@ -212,11 +212,9 @@ def run(
 
                     how["client"] = stack.enter_context(connected(scheduler, workers))
                 forecast = _run(configuration, folder, threads, quiet_bar, store=output, **how)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"interrupted; what is finished is kept: driftcore run {scenario} -o {output} "
-                "--resume"
-            ) from None
+        except KeyboardInterrupt as cause:
+            again = f"driftcore run {scenario} -o {output} --resume"
+            raise type(cause)(f"what is finished is kept: {again}") from None
     else:
         for name, value in {
             "resume": resume,
