@@ -39,9 +39,15 @@ def sea(small_wind: dc.LocalGridBootstrap) -> dc.Forecast:
     return dc.forecast(scenario, small_wind, members=30, times=times)
 
 
+def animate(forecast: dc.Forecast, **given: Any) -> Any:
+    """Make an animation that may go without having been shown as a whole."""
+    moving: Any = animation.animate(forecast, **given)
+    moving._draw_was_started = True
+    return moving
+
+
 def frame(moving: Any, index: int) -> Any:
     """Draw a frame; give its axes."""
-    moving._init_draw()
     artists = moving._func(index)
     return artists[0].axes
 
@@ -54,7 +60,7 @@ def points(axes: Any, label: str) -> Any:
 def test_members_are_where_they_are_at_each_time(plane: dc.Forecast) -> None:
     dataset = plane.dataset
     kept = dataset["position"].values
-    moving = animation.animate(plane, kind="members")
+    moving = animate(plane, kind="members")
     for index, time in enumerate(dataset["time"].values):
         axes = frame(moving, index)
         stranded = dataset["stranding_time"].values[:30] <= time
@@ -69,7 +75,7 @@ def test_members_are_where_they_are_at_each_time(plane: dc.Forecast) -> None:
 
 
 def test_maps_have_one_scale(plane: dc.Forecast) -> None:
-    moving = animation.animate(plane)
+    moving = animate(plane)
     first, last = (moving._func(k)[0] for k in (0, 2))
     assert first.norm is last.norm
     presence = 100 * plane.dataset["presence"].values
@@ -81,11 +87,10 @@ def test_maps_have_one_scale(plane: dc.Forecast) -> None:
 
 
 def test_frames_say_the_date_and_are_no_more_than_asked(sea: dc.Forecast) -> None:
-    moving = animation.animate(sea, frames=3)
+    moving = animate(sea, frames=3)
     assert list(moving.new_frame_seq()) == [0, 5, 10]
     axes = frame(moving, 5)
     assert "a crate, 2026-07-06 06:00 UTC, 5.0 days" in axes.get_title()
-    moving._draw_was_started = True
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
@@ -148,7 +153,8 @@ def test_what_is_refused(plane: dc.Forecast, given: dict[str, Any], message: str
 def test_refused_files(plane: dc.Forecast, sea: dc.Forecast, tmp_path: Path) -> None:
     with pytest.raises(dc.ScenarioError, match=r"path: .*film.avi' is not accepted"):
         animation.save(plane, tmp_path / "film.avi")
-    empty = sea.dataset.isel(kept_member=slice(0)) if "kept_member" in sea.dataset.dims else None
-    assert empty is None
     with pytest.raises(dc.ScenarioError, match="presence: not in the dataset"):
         animation.animate(sea, kind="maps")
+    none = plane.dataset.isel(kept_member=slice(0))
+    with pytest.raises(dc.ScenarioError, match="no paths were kept"):
+        animation.animate(none, kind="members")
