@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import re
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from time import perf_counter
@@ -32,9 +36,8 @@ from typer.core import TyperGroup
 
 from driftcore import __version__
 from driftcore.coast import place_name
-from driftcore.configuration import read_toml
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
-from driftcore.geographic import Scaling
+from driftcore.words import how, set_up
 
 if TYPE_CHECKING:
     from driftcore.coast import LandCoast
@@ -51,9 +54,19 @@ class Commands(TyperGroup):
         """Run the command that was asked for."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            err.print("interrupted; nothing was written")
-            raise typer.Exit(130) from None
+        except KeyboardInterrupt as cause:
+            ended = isinstance(cause, Terminated) or isinstance(cause.__context__, Terminated)
+            told = f"{'terminated' if ended else 'interrupted'}; nothing was written"
+            err.print(escape(str(cause) or told))
+            raise typer.Exit(143 if ended else 130) from None
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end, by SIGTERM."""
+
+
+def _terminate(*_: object) -> None:
+    raise Terminated
 
 
 app = typer.Typer(
@@ -75,7 +88,7 @@ Coast = Annotated[
     Path | None,
     typer.Option(help="Land to draw on the real sea; default that of the package."),
 ]
-ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast file (NetCDF).")]
+ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast (.nc or .zarr).")]
 
 # Members followed to estimate what all of them cost.
 _FEW, _MORE = 32, 256
@@ -155,7 +168,25 @@ def demo(
 @app.command(rich_help_panel="Forecast")
 def run(
     scenario: ScenarioFile,
-    output: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="NetCDF file to write, or a store for long runs (.zarr)."
+        ),
+    ],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a store that is unfinished.")
+    ] = False,
+    chunk: Annotated[
+        int | None, typer.Option(min=1, help="Members in each chunk of a store.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Let the workers of this dask scheduler follow."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Let so many dask workers of this machine follow.")
+    ] = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -164,16 +195,43 @@ def run(
     """Run the forecast that a scenario file describes.
 
     A file to start from, with every number explained: `driftcore new my.toml`. Relative paths in
-    it start at its folder.
+    it start at its folder. A store (.zarr) is written chunk by chunk: memory does not grow with
+    the number of members, and what is finished outlives any interruption.
     """
     from driftcore.files import check_writable
     from driftcore.geographic_configuration import read_configuration
 
     configuration = read_configuration(scenario)
-    check_writable(output, overwrite)
     # The forecast records its wind by this path: absolute, it can be run again from anywhere.
-    forecast = _run(configuration, scenario.parent.resolve(), threads, quiet or as_json)
-    forecast.to_netcdf(output, overwrite)
+    folder, quiet_bar = scenario.parent.resolve(), quiet or as_json
+    if output.suffix == ".zarr":
+        how: dict[str, Any] = {"resume": resume, "overwrite": overwrite, "chunk": chunk}
+        try:
+            with ExitStack() as stack:
+                if scheduler is not None or workers is not None:
+                    from driftcore.distributed import connected
+
+                    how["client"] = stack.enter_context(connected(scheduler, workers))
+                forecast = _run(configuration, folder, threads, quiet_bar, store=output, **how)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted; what is finished is kept: driftcore run {scenario} -o {output} "
+                "--resume"
+            ) from None
+    else:
+        for name, value in {
+            "resume": resume,
+            "chunk": chunk,
+            "scheduler": scheduler,
+            "workers": workers,
+        }.items():
+            if value:
+                raise ScenarioError(
+                    f"--{name}: is of a store; name one that ends in .zarr, not {output.name}"
+                )
+        check_writable(output, overwrite)
+        forecast = _run(configuration, folder, threads, quiet_bar)
+        forecast.to_netcdf(output, overwrite)
     if as_json:
         sys.stdout.write(json.dumps(_result(forecast)) + "\n")
     elif not quiet:
@@ -199,8 +257,9 @@ def check(
 
     Everything is read, the wind is fitted, and a few members are followed.
     """
-    from driftcore.forecast import default_threads, planned
+    from driftcore.forecast import FIRST_LOOK, PRECISION, default_threads, planned
     from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
+    from driftcore.statistics import members_needed
 
     if picture is not None:
         from driftcore.drawing import check_picture
@@ -213,21 +272,29 @@ def check(
         with err.status("reading, fitting the wind, following a few members"):
             start = perf_counter()
             follow = planned(configuration, scenario.parent.resolve())
-            times, sizes, numbers = [], [], (min(_FEW, wanted.members), min(_MORE, wanted.members))
-            times.append(perf_counter() - start)
+            times, sizes = [perf_counter() - start], []
+            follow = partial(follow, precision=None, threads=threads)
+            if wanted.members == "auto":
+                # As far as a few tell.
+                p = follow(members=_MORE, keep=0).stranding_probability()
+                precision = wanted.precision or PRECISION
+                whole = max(FIRST_LOOK, members_needed((p.low + p.high) / 2, precision))
+            else:
+                whole = wanted.members
+            numbers = (min(_FEW, whole), min(_MORE, whole))
             for members in numbers:
                 start = perf_counter()
-                keep = round(members * min(1, wanted.keep / wanted.members))
-                forecast = follow(members=members, keep=keep, threads=threads)
+                keep = round(members * min(1, wanted.keep / whole))
+                forecast = follow(members=members, keep=keep)
                 times.append(perf_counter() - start)
                 sizes.append(forecast.dataset.nbytes)
             if picture is not None:
                 from driftcore.drawing import save_figures
-                from driftcore.plot_setup import set_up
+                from driftcore.plot_setup import set_up as draw_set_up
 
                 given = follow.keywords
                 sea, winds = follow.args
-                drawn: Any = set_up(sea, winds, given["maps"], given["targets"])
+                drawn: Any = draw_set_up(sea, winds, given["maps"], given["targets"])
                 save_figures({picture.stem: drawn[0].figure}, picture.parent, overwrite)
     told = [str(w.message) for w in caught if issubclass(w.category, DriftCoreWarning)]
     if isinstance(configuration, GeographicConfiguration):
@@ -236,11 +303,11 @@ def check(
     reading, few, more = times
     between = max(1, numbers[1] - numbers[0])
     each, size = max(0.0, more - few) / between, (sizes[1] - sizes[0]) / between
-    rest = wanted.members - numbers[1]
+    rest = whole - numbers[1]
     seconds = reading + more + each * rest
     megabytes = (sizes[1] + size * rest) / 1e6
     estimate = {
-        "members": wanted.members,
+        "members": whole,
         "threads": threads or default_threads(),
         "preparation_s": reading + max(0.0, few - each * numbers[0]),
         "seconds": seconds,
@@ -251,10 +318,11 @@ def check(
         about = {"attributes": _attributes(forecast), "estimate": estimate, "warnings": told}
         sys.stdout.write(json.dumps(about) + "\n")
         return
-    table = _rows([*_set_up(forecast), *_how(forecast)])
+    table = _rows([*set_up(forecast), *how(forecast)])
+    at_precision = " or so, as precision takes" if wanted.members == "auto" else ""
     table.add_row(
         "cost",
-        f"{wanted.members} members: about {_duration(seconds)} on "
+        f"{whole} members{at_precision}: about {_duration(seconds)} on "
         f"{estimate['threads']} threads, {max(1, round(megabytes))} MB",
     )
     if not quiet:
@@ -410,7 +478,7 @@ def info(forecast: ForecastFile, as_json: AsJson = False) -> None:
         about = {**_result(opened), "attributes": _attributes(opened)}
         sys.stdout.write(json.dumps(about) + "\n")
         return
-    _summary(opened, [*_set_up(opened), ("written", opened.dataset.attrs["history"])])
+    _summary(opened, [*set_up(opened), ("written", opened.dataset.attrs["history"])])
 
 
 @app.command(rich_help_panel="Results")
@@ -524,6 +592,35 @@ def export(
 
 
 @app.command(rich_help_panel="Results")
+def report(
+    forecast: ForecastFile,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="HTML file to write; default beside the forecast."),
+    ] = None,
+    coast: Annotated[
+        Path | None,
+        typer.Option(help="Land to draw on the real sea; default that of the scenario."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Silent = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a forecast as one page for whoever must decide: map, coast, arrival, limits.
+
+    It opens in any browser, asks for no network, and prints.
+    """
+    from driftcore import report as page
+    from driftcore.coast import LandCoast
+    from driftcore.forecast import open_forecast
+
+    target = forecast.with_suffix(".html") if output is None else output
+    land = None if coast is None else LandCoast.from_file(coast)
+    page.write(open_forecast(forecast), target, land, overwrite)
+    _list_written([target], quiet, as_json)
+
+
+@app.command(rich_help_panel="Results")
 def validate(
     output: Annotated[
         Path | None,
@@ -597,11 +694,15 @@ def _months(words: str) -> list[int] | None:
         ) from None
 
 
-def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> Forecast:
+def _run(
+    configuration: Any, folder: Path, threads: int | None, quiet: bool, **store: Any
+) -> Forecast:
     from driftcore.forecast import run as run_configuration
 
     with _bar("members", quiet, "fitting the wind") as progress:
-        return run_configuration(configuration, folder=folder, threads=threads, progress=progress)
+        return run_configuration(
+            configuration, folder=folder, threads=threads, progress=progress, **store
+        )
 
 
 @contextmanager
@@ -644,37 +745,19 @@ def _attributes(forecast: Forecast) -> dict[str, Any]:
     }
 
 
-def _days_per_unit(forecast: Forecast) -> float:
-    """Days in the unit of its stranding times."""
-    attributes = forecast.dataset.attrs
-    if "days" in attributes:
-        return 1.0
-    return float(attributes["tide_period_h"] / attributes["epsilon"] / 24)
-
-
-def _divided(forecast: Forecast) -> LandCoast | None:
-    """Coast of the run with its stretches, where its scenario divides it."""
-    from driftcore.geographic_configuration import GeographicConfiguration
-
-    text = forecast.configuration()
-    if "kind" not in read_toml(text):  # made in Python
-        return None
-    try:
-        return GeographicConfiguration.from_toml(text).stretches()
-    except DriftCoreError as error:
-        # The forecast outlives the files it was made from.
-        _say("yellow", "warning", f"no stretches of the coast: {error}")
-        return None
-
-
 def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     """Probabilities by stretch of the coast, the greatest first, where it is divided."""
     from driftcore.geographic_forecast import GeographicForecast
 
     if not isinstance(forecast, GeographicForecast) or not forecast.followed:
         return []
-    coast = _divided(forecast)
-    if coast is None:
+    try:
+        coast = forecast.coast()
+    except DriftCoreError as error:
+        # The forecast outlives the files it was made from.
+        _say("yellow", "warning", f"no stretches of the coast: {error}")
+        return []
+    if coast is None or not coast.stretches:
         return []
     found = forecast.stranding_by_stretch(coast)
     told = []
@@ -691,10 +774,15 @@ def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     return sorted(told, key=lambda stretch: -stretch["probability"])
 
 
+def _or_none(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return None if math.isnan(value) else value
+
+
 def _result(forecast: Forecast) -> dict[str, Any]:
     # Without a member that could be followed there is no probability.
     p = forecast.stranding_probability() if forecast.followed else None
-    quantiles = forecast.stranding_time_quantiles().values
+    quantiles = forecast.stranding_time_quantiles()
     attributes = forecast.dataset.attrs
     targets = forecast.dataset["target"].values if "target" in forecast.dataset else ()
     entries = {str(name): forecast.entry_probability(name) for name in targets if p}
@@ -705,10 +793,13 @@ def _result(forecast: Forecast) -> dict[str, Any]:
         "level": p and p.level,
         **forecast.counts,
         "stranding_time_quantiles": {
-            str(q): None if t != t else float(t)
-            for q, t in zip((0.05, 0.5, 0.95), quantiles, strict=True)
+            str(t["quantile"].item()): _or_none(t.item()) for t in quantiles
         },
-        "days_per_unit_of_time": _days_per_unit(forecast),
+        "stranding_time_intervals": {
+            str(t["quantile"].item()): [_or_none(t[bound].item()) for bound in ("low", "high")]
+            for t in quantiles
+        },
+        "days_per_unit_of_time": forecast.days_per_unit,
         "stretches": _stretches(forecast),
         "targets": {
             name: {"probability": e.estimate, "low": e.low, "high": e.high}
@@ -735,55 +826,13 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.1f} s"
 
 
-def _set_up(forecast: Forecast) -> Iterator[tuple[str, str]]:
-    """Tell what a forecast is of, from its attributes."""
-    about = forecast.dataset.attrs
-    yield "scenario", str(about["scenario"])
-    if "days" not in about:
-        yield "release", f"{about['release']}, in units of the paper"
-        drag = about["drag"] / _days_per_unit(forecast)
-        yield "object", f"floating body, drag rate {about['drag']:g} ({drag:.2g} per day)"
-        yield "tide", f"{about['tide_period_h']:g} h, epsilon {about['epsilon']:.4g}"
-        yield "coast", str(about.get("coast", "none"))
-        return
-    yield "release", str(about["release"])
-    drifter = read_toml(about["drifter"])
-    if "category" in drifter:
-        known = f"leeway of {drifter['category']}"
-    else:
-        response, factor = (
-            value["kind"] if isinstance(value, dict) else f"{value:g}"
-            for value in (drifter["response_time_h"], drifter["wind_factor"])
-        )
-        known = f"floating body, response time {response} h, wind factor {factor}"
-    yield "object", known
-    for name in ("tides", "current", "coast"):
-        yield name, re.sub(r"^<?[A-Z]\w+[ (](.*)[>)]$", r"\1", str(about[name]))
-    scale = {key: about[f"scaling_{key}"] for key in Scaling._fields}
-    yield (
-        "scaling",
-        f"epsilon {scale['epsilon']:.2g} (a tide of {about['tide_period_h']:.2f} h over "
-        f"{about['days']:g} days); tide up to {scale['tide']:.2g} m/s, residual "
-        f"{scale['residual']:.2g} m/s; tidal excursion {scale['excursion_km']:.1f} km, over which "
-        f"the tide changes by {scale['steepness']:.0%}",
-    )
-
-
-def _how(forecast: Forecast) -> Iterator[tuple[str, str]]:
-    """Tell by which wind and model."""
-    about = forecast.dataset.attrs
-    order = f", order {about['order']}" if "order" in about else ""
-    yield "wind", about["wind_label"]
-    yield "model", f"{about['model']}{order}, seed {about['seed']}"
-
-
 def _summary(forecast: Forecast, about: Iterable[tuple[str, str]] = ()) -> None:
     result = _result(forecast)
     attributes = forecast.dataset.attrs
     unit = result["days_per_unit_of_time"]
     days = attributes["days"] if "days" in attributes else attributes["duration"] * unit
     run = ("run", f"{attributes['members']} members, {days:.1f} days")
-    table = _rows([*about, *_how(forecast), run])
+    table = _rows([*about, *how(forecast), run])
     if forecast.followed:
         table.add_row(
             "strands",
@@ -792,15 +841,25 @@ def _summary(forecast: Forecast, about: Iterable[tuple[str, str]] = ()) -> None:
         )
     early, middle, late = result["stranding_time_quantiles"].values()
     if middle is not None:
+        low, high = result["stranding_time_intervals"]["0.5"]
+        between = "" if None in (low, high) else f" ({low * unit:.1f} to {high * unit:.1f})"
         table.add_row(
             "when",
-            f"median {middle * unit:.1f} days; nine in ten between "
+            f"median {middle * unit:.1f} days{between}; nine in ten between "
             f"{early * unit:.1f} and {late * unit:.1f}",
         )
-        sectors = forecast.stranding_by_sector(8)["probability"].values
+        found = forecast.stranding_by_sector(8)
         names = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
-        ranked = sorted(zip(sectors, names, strict=True), reverse=True)[:3]
-        table.add_row("where", ", ".join(f"{name} {share:.3f}" for share, name in ranked if share))
+        shares = (found[key].values for key in ("probability", "low", "high"))
+        ranked = sorted(zip(*shares, names, strict=True), reverse=True)[:3]
+        table.add_row(
+            "where",
+            ", ".join(
+                f"{name} {share:.3f} ({low:.3f} to {high:.3f})"
+                for share, low, high, name in ranked
+                if share
+            ),
+        )
     for k, stretch in enumerate(result["stretches"][:_STRETCHES]):
         table.add_row(
             "" if k else "stretches",
@@ -865,7 +924,12 @@ def _spoken_warnings() -> Iterator[None]:
 
 
 def main() -> None:
-    """Entry point: exit code 2 and one line for what the user can mend, 130 when interrupted."""
+    """Entry point: exit code 2 and one line for what the user can mend.
+
+    130 when interrupted, 143 when asked to end (SIGTERM), which tidies up all the same.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _terminate)
     if isinstance(sys.stdout, TextIOWrapper):
         # A name that the terminal's encoding lacks a letter of is no reason to stop.
         sys.stdout.reconfigure(errors="replace")

@@ -54,6 +54,23 @@ class Scaling(NamedTuple):
     unit_length_km: float
     """What the tidal current would cover in the run [km]."""
 
+    def problems(self) -> list[str]:
+        """Say what is not small."""
+        found = []
+        if self.tide and self.epsilon > _LARGEST_EPSILON:
+            found.append(f"epsilon = {self.epsilon:.2g} (a tide over the run)")
+        if self.steepness > _LARGEST_STEEPNESS:
+            found.append(
+                f"the tidal current changes by {self.steepness:.0%} over its own excursion of "
+                f"{self.excursion_km:.1f} km"
+            )
+        if self.tide and self.residual > self.tide:
+            found.append(
+                f"the residual current ({self.residual:.2g} m/s) exceeds the tide "
+                f"({self.tide:.2g} m/s)"
+            )
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class GeographicScenario:
@@ -412,20 +429,7 @@ class GeographicScenario:
 
     def warn(self) -> None:
         """Say where the ordering that averaging needs does not hold."""
-        scaling = self.scaling
-        problems = []
-        if scaling.tide and scaling.epsilon > _LARGEST_EPSILON:
-            problems.append(f"epsilon = {scaling.epsilon:.2g} (a tide over the run)")
-        if scaling.steepness > _LARGEST_STEEPNESS:
-            problems.append(
-                f"the tidal current changes by {scaling.steepness:.0%} over its own excursion of "
-                f"{scaling.excursion_km:.1f} km"
-            )
-        if scaling.tide and scaling.residual > scaling.tide:
-            problems.append(
-                f"the residual current ({scaling.residual:.2g} m/s) exceeds the tide "
-                f"({scaling.tide:.2g} m/s)"
-            )
+        problems = self.scaling.problems()
         if problems:
             warnings.warn(
                 "averaging takes for small what here is not: "

@@ -58,6 +58,7 @@ from driftcore.errors import ScenarioError
 from driftcore.forecast import Forecast
 from driftcore.plot_presence import presence_map
 from driftcore.plot_setup import set_up
+from driftcore.plot_verification import pit_histogram, reliability_diagram, score_ratios
 from driftcore.plot_wind import ROSES, roses, stranding_rose, wind_law, wind_rose
 from driftcore.statistics import wilson
 
@@ -73,12 +74,15 @@ if TYPE_CHECKING:
 __all__ = [
     "convergence",
     "likelihood",
+    "pit_histogram",
     "plane",
     "presence_map",
+    "reliability_diagram",
     "roses",
     "running_estimate",
     "save_all",
     "save_member",
+    "score_ratios",
     "set_up",
     "stranding_rose",
     "stranding_times",

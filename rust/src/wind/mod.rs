@@ -9,6 +9,7 @@ pub mod fields;
 pub mod hand_over;
 pub mod lanes;
 pub mod path;
+mod proposals;
 pub mod small_scale;
 
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, positive, product, room};
 use crate::field::Vec2;
 use bootstrap::{Bootstrap, Chain, Scratch};
 use hand_over::HandOver;
@@ -32,6 +33,12 @@ enum Stream {
     FinePath = 2,
     Jibes = 3,
 }
+
+/// A century of tides has 70,000, and each a hundred knots.
+const MOST_KNOTS: f64 = 2e7;
+
+/// Streams are numbered by four times the member.
+pub(crate) const MOST_MEMBERS: u64 = 1 << 62;
 
 /// Generator keyed by (seed, member, stream): no member's numbers depend on another's.
 fn stream(seed: u64, member: u64, stream: Stream) -> ChaCha8Rng {
@@ -168,6 +175,9 @@ impl Synoptic {
         seed: u64,
         member: u64,
     ) -> Result<Self, DriftError> {
+        if member >= MOST_MEMBERS {
+            return Err(DriftError::invalid("member", member, "members are numbered to 2⁶²"));
+        }
         let mut rng = stream(seed, member, Stream::Synoptic);
         let Some(hand_over) = &beginning.hand_over else {
             let chain = bootstrap.start(beginning.phase, &mut rng)?;
@@ -193,6 +203,14 @@ impl Synoptic {
         Ok(Self { chain, rng, member, handed: 1, error })
     }
 
+    /// Begins the next step, if it is drawn.
+    fn prepare(&mut self, bootstrap: &Bootstrap, beginning: &Beginning) {
+        if beginning.hand_over.as_ref().is_none_or(|given| self.handed >= given.steps()) {
+            bootstrap.prepare(&mut self.chain, &mut self.rng);
+        }
+    }
+
+    /// Takes the step that has been prepared.
     fn advance(&mut self, bootstrap: &Bootstrap, beginning: &Beginning, scratch: &mut Scratch) {
         match &beginning.hand_over {
             Some(hand_over) if self.handed < hand_over.steps() => {
@@ -247,8 +265,8 @@ impl WindGenerator {
 
     /// The wind of one member, ready to be drawn from `−lead_in` steps on.
     pub(crate) fn member(&self, seed: u64, member: u64) -> Result<MemberWind, DriftError> {
-        let mut coarse = stream(seed, member, Stream::SmallScale);
         let synoptic = Synoptic::start(&self.bootstrap, &self.beginning, seed, member)?;
+        let mut coarse = stream(seed, member, Stream::SmallScale);
         Ok(MemberWind {
             slow: self.bootstrap.wind(&synoptic.chain) / self.unit,
             fast: self.small_scale.start(&mut coarse),
@@ -272,7 +290,12 @@ impl WindGenerator {
         (self.step / substeps as f64, substeps)
     }
 
-    /// Draws one synoptic step: the wind at its knots but the last goes to `knots`, and for coarse
+    /// Begins the next synoptic step.
+    pub(crate) fn prepare(&self, wind: &mut MemberWind) {
+        wind.synoptic.prepare(&self.bootstrap, &self.beginning);
+    }
+
+    /// Draws the synoptic step that has been prepared: the wind at its knots but the last goes to `knots`, and for coarse
     /// sampling the integral over the step is returned.
     pub(crate) fn draw(
         &self,
@@ -306,14 +329,22 @@ impl WindGenerator {
         end: f64,
         sampling: Sampling,
     ) -> Result<WindPath, DriftError> {
-        let steps = self.lead_in + (end / self.step - 1e-9).ceil().max(1.0) as usize;
-        let start = -(self.lead_in as f64) * self.step;
         let (spacing, substeps) = self.knots(sampling);
+        let steps = self.lead_in as f64 + (end / self.step - 1e-9).ceil().max(1.0);
+        if steps.is_nan() || steps * substeps as f64 > MOST_KNOTS {
+            let accepted = format!("a wind path has at most {MOST_KNOTS} knots");
+            return Err(DriftError::invalid("end of the wind path", end, accepted));
+        }
+        let steps = steps as usize;
+        let start = -(self.lead_in as f64) * self.step;
         let mut wind = self.member(seed, member)?;
-        let mut velocity = Vec::with_capacity(steps * substeps + 1);
+        let mut velocity = room("wind path", steps * substeps + 1)?;
         let mut scratch = Scratch::default();
         let integrals: Vec<Vec2> = (0..steps)
-            .map(|_| self.draw(&mut wind, sampling, &mut velocity, &mut scratch))
+            .map(|_| {
+                self.prepare(&mut wind);
+                self.draw(&mut wind, sampling, &mut velocity, &mut scratch)
+            })
             .collect();
         velocity.push(wind.velocity());
         match sampling {
@@ -352,12 +383,15 @@ pub fn sample(
     beginning: impl Into<Beginning>,
 ) -> Result<SynopticSample, DriftError> {
     let beginning = &beginning.into();
-    let mut sample = SynopticSample::default();
+    let count = product("members", &[(members.end - members.start) as usize, steps])?;
+    let mut sample =
+        SynopticSample { wind: room("members", count)?, predecessor: room("members", count)? };
     let mut scratch = Scratch::default();
     for member in members {
         let mut synoptic = Synoptic::start(bootstrap, beginning, seed, member)?;
         for step in 0..steps {
             if step > 0 {
+                synoptic.prepare(bootstrap, beginning);
                 synoptic.advance(bootstrap, beginning, &mut scratch);
             }
             sample.wind.push(bootstrap.wind(&synoptic.chain));
