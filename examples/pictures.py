@@ -49,7 +49,7 @@ def pictures() -> dict[str, list[Any]]:
     return {
         "set_up": plot_map.set_up(scenario, wind, maps, MOUTH),
         "presence": plot_map.presence_map(sea, 20, coast),
-        "paths": plot_map.spaghetti(sea, coast, members=60),
+        "paths": plot_map.spaghetti(sea, coast, members=40),
         "coast": plot_map.stranding_coast(sea, divided),
         "stretches": plot_map.stranding_bars(sea, coast.with_stretches(STRETCHES)),
         "arrival": plot_map.arrival_curve(sea),

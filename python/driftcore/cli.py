@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import signal
 import sys
 import threading
@@ -512,7 +511,7 @@ def plot(
             from driftcore import plot_map
             from driftcore.coast import LandCoast
 
-            land = _divided(opened) if coast is None else LandCoast.from_file(coast)
+            land = LandCoast.from_file(coast) if coast is not None else _coast(opened)
             land = land or LandCoast.default()
             written = plot_map.save_all(dataset, folder, land)
         else:
@@ -745,18 +744,24 @@ def _attributes(forecast: Forecast) -> dict[str, Any]:
     }
 
 
+def _coast(forecast: Any) -> LandCoast | None:
+    """Coast of a run on the real sea, with its stretches."""
+    try:
+        coast: LandCoast | None = forecast.coast()
+    except DriftCoreError as error:
+        # The forecast outlives the files it was made from.
+        _say("yellow", "warning", f"no stretches of the coast: {error}")
+        return None
+    return coast
+
+
 def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     """Probabilities by stretch of the coast, the greatest first, where it is divided."""
     from driftcore.geographic_forecast import GeographicForecast
 
     if not isinstance(forecast, GeographicForecast) or not forecast.followed:
         return []
-    try:
-        coast = forecast.coast()
-    except DriftCoreError as error:
-        # The forecast outlives the files it was made from.
-        _say("yellow", "warning", f"no stretches of the coast: {error}")
-        return []
+    coast = _coast(forecast)
     if coast is None or not coast.stretches:
         return []
     found = forecast.stranding_by_stretch(coast)

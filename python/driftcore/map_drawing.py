@@ -42,6 +42,7 @@ Floats = NDArray[np.float64]
 # West, east, south, north [degrees].
 Box = tuple[float, float, float, float]
 
+KM_PER_DEGREE = math.radians(1) * _EARTH_RADIUS / 1e3
 _MAP_WIDTH, _MAP_HEIGHT = 5.0, 4.6  # in, at most
 _AROUND, COLOUR_BAR = (0.9, 1.6), 0.8  # in, what title, labels and legend take
 
@@ -209,7 +210,7 @@ def add_scale_and_north(axes: Axes) -> list[Artist]:
     (east, north), latitude = ends[1] - ends[0], math.radians((ends[0] + ends[1])[1] / 2)
     east = (east + 180) % 360 - 180
     per_unit = math.hypot(east * math.cos(latitude), north) / (0.1 * (right - left))
-    per_unit *= math.radians(1) * _EARTH_RADIUS / 1e3  # km in a unit of the axes
+    per_unit *= KM_PER_DEGREE  # km in a unit of the axes
     longest = (right - left) * per_unit / 4
     ten = 10.0 ** math.floor(math.log10(longest))
     length = max(ten * step for step in (1, 2, 5) if ten * step <= longest)
