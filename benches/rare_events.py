@@ -5,8 +5,8 @@
     python benches/rare_events.py often [REPETITIONS]     # bias and coverage where p is about 1e-3
 
 The case is half the paper's run: stranding on a circle that few reach, and two areas off the usual
-tracks. `plain` adds to FILE and may be stopped at any time; it is of a Gaussian wind, whose members
-cost a sixth of those of the embedded climate. `often` and `split` take both winds where they can.
+tracks. `plain` adds to FILE and may be stopped at any time; it and `split` are of a Gaussian wind,
+whose members cost a fraction of those of the embedded climate, which `often` takes.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def split(file: Path) -> None:
                 f"{counts[name] / members:.2e} [{low:.2e}, {high:.2e}]",
                 f"{found.estimate:.2e} [{found.low:.2e}, {found.high:.2e}]",
                 f"{found.standard_error / found.estimate:.1%}",
-                found.followed,
+                str(found.followed),
                 f"{found.plain_members / found.followed:.0f}",
                 f"{cpu:.1f}",
                 f"{found.plain_members / members * counts['cpu_s'] / cpu:.0f}",

@@ -1,4 +1,4 @@
-"""Probabilities of rare events by multilevel splitting: docs/equations.md, section "Rare events".
+"""Probabilities of rare events by multilevel splitting: docs/equations.md (47)–(49).
 
 Winds are drawn one synoptic step after the other, so that a run may be *branched*: the branch keeps
 its wind up to a step and draws new numbers after it. Members that come nearer to the event than the
@@ -45,9 +45,9 @@ _MOST_LEVELS = 100
 # The default importance forecasts from so many times, to so many later times; it is learned from no
 # fewer members than these, and sees a circle with so many corners.
 _LAGS = 3
-_HORIZONS = 6
+_HORIZONS = 3
 _LEAST_LEARNED = 50
-_CORNERS = 24
+_CORNERS = 16
 # With fewer the interval of Student's t is too wide to be of use.
 _LEAST_REPLICATES = 5
 _LEAST_PARTICLES = 20
@@ -133,7 +133,7 @@ def rare_probability(
         Of the times [scenario time], shape (times,), and the positions then, shape (members, times,
         2), NaN once stranded: how near to the event each member is then, shape (members, times).
         Only the order of its values matters. Default: how likely about the event is from there
-        on, as a pilot run of other members taught (docs/equations.md, section "Rare events").
+        on, as a pilot run of other members taught (docs/equations.md (48)).
     levels : sequence of float, optional
         Increasing values of the importance at which members are branched. Default: chosen by the
         pilot run so that a fifth passes each.
@@ -388,7 +388,7 @@ def _area_of(event: str | ArrayLike | Polygons) -> Polygons | None:
 
 
 class _Approach:
-    """Importance learned from a plain run: docs/equations.md, section "Rare events".
+    """Importance learned from a plain run: docs/equations.md (48).
 
     From where a member was at the last three times, a linear regression tells where it will be
     later, and how far that spreads. The nearest approach is told by the logarithm of about the
@@ -452,7 +452,7 @@ def _enclosed(ring: Floats) -> float:
 def _interval(estimates: Floats, level: float = 0.95) -> tuple[float, float]:
     """Student's interval of a mean, on its logarithm: estimates near 0 are skewed.
 
-    Source: docs/equations.md, section "Rare events"; the quantile by Abramowitz & Stegun (1964),
+    Source: docs/equations.md (49); the quantile by Abramowitz & Stegun (1964),
     26.7.5, to 0.3 % from 4 degrees of freedom on.
     """
     mean = float(estimates.mean())
