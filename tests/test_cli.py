@@ -28,7 +28,7 @@ from driftcore.errors import OutputError
 SMALL = "[ensemble]\nmembers = 3\n[wind]\nh = 0.3\n"
 OF_FILE = SMALL + 'record = "wind.csv"\n'
 RECORD = synthetic_record(3)
-FIGURES = {"trajectories.png", "roses.png", "stranding_times.png"}
+FIGURES = {"trajectories.png", "roses.png", "stranding_times.png", "estimate.png"}
 
 
 class Result(NamedTuple):
@@ -111,8 +111,24 @@ def test_json_holds_what_the_forecast_says(driftcore: Command) -> None:
     assert (result.code, result.err) == (0, "")
     assert (told["stranding_probability"], told["low"], told["high"]) == (p.estimate, p.low, p.high)
     assert {name: told[name] for name in forecast.counts} == forecast.counts
-    quantiles = forecast.stranding_time_quantiles((0.05, 0.5, 0.95)).values
-    assert list(told["stranding_time_quantiles"].values()) == pytest.approx(quantiles.tolist())
+    quantiles = forecast.stranding_time_quantiles((0.05, 0.5, 0.95))
+    assert list(told["stranding_time_quantiles"].values()) == pytest.approx(quantiles.values)
+    assert list(told["stranding_time_intervals"]) == ["0.05", "0.5", "0.95"]
+    assert told["stranding_time_intervals"]["0.5"] == [quantiles[1].low, quantiles[1].high]
+    # Of twenty the first in twenty has no lower bound.
+    assert told["stranding_time_intervals"]["0.05"][0] is None
+
+
+def test_as_many_members_as_precision_takes(driftcore: Command) -> None:
+    scenario = SMALL.replace("members = 3", 'members = "auto"\nprecision = 0.028')
+    told = json.loads(driftcore("check", write(scenario), "--json").out)
+    result = json.loads(driftcore("run", write(scenario), "-o", "out.nc", "--json").out)
+    forecast = dc.open_forecast("out.nc")
+    assert forecast.stranding_probability().half_width <= 0.028
+    assert 1000 <= told["estimate"]["members"] <= 2000
+    again = dc.run(dc.RunConfiguration.from_toml(forecast.configuration()))
+    assert again.dataset.equals(forecast.dataset)
+    assert result["high"] - result["low"] <= 0.056
 
 
 def test_quiet_prints_nothing(driftcore: Command) -> None:
@@ -603,8 +619,14 @@ main()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are not sent there")
+@pytest.mark.parametrize(
+    ("sent_signal", "code", "told"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
 @pytest.mark.parametrize("command", ["run", "demo"])
-def test_interruption_leaves_nothing(command: str, tmp_path: Path) -> None:
+def test_interruption_leaves_nothing(
+    command: str, sent_signal: signal.Signals, code: int, told: str, tmp_path: Path
+) -> None:
     long = "[wind]\nh = 0.3\n[ensemble]\nmodel = 'full'\nmembers = 200000\n"
     (tmp_path / "long.toml").write_text(long, encoding="utf-8")
     arguments: dict[str, list[str | Path]] = {
@@ -624,11 +646,11 @@ def test_interruption_leaves_nothing(command: str, tmp_path: Path) -> None:
             assert process.stdout.readline() == "running\n"
             time.sleep(0.5)
             sent = time.monotonic()
-            process.send_signal(signal.SIGINT)
+            process.send_signal(sent_signal)
             out, err = process.communicate(timeout=60)
         # Half a second; more where other work holds the processors.
         assert time.monotonic() - sent < 3
-    assert (process.returncode, out, err) == (130, "", "interrupted; nothing was written\n")
+    assert (process.returncode, out, err) == (code, "", f"{told}; nothing was written\n")
 
 
 def test_letters_that_the_terminal_lacks_stop_nothing(tmp_path: Path) -> None:

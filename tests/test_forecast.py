@@ -16,6 +16,7 @@ import driftcore as dc
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreWarning, OutputError, ScenarioError
 from driftcore.forecast import Forecast, forecast, open_forecast, trajectory
+from driftcore.statistics import quantile_interval
 from reference import Floats, wilson_interval
 
 AFLOAT, STRANDED, LEFT_DOMAIN, FAILED = range(4)
@@ -221,6 +222,10 @@ def test_stranding_time_quantiles(ensemble: Forecast) -> None:
     expected = [times[0], (1 - share) * times[below] + share * times[below + 1], times[-1]]
     assert quantiles.values == pytest.approx(expected, abs=1e-15)
     assert quantiles["quantile"].values.tolist() == [0.0, 0.3, 1.0]
+    low, high = quantile_interval(times, [0.0, 0.3, 1.0])
+    assert quantiles["low"].values == pytest.approx(low, nan_ok=True)
+    assert quantiles["high"].values == pytest.approx(high, nan_ok=True)
+    assert low[1] < quantiles.values[1] < high[1]
 
 
 def test_nothing_stranded_has_no_quantiles() -> None:

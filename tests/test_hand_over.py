@@ -15,6 +15,7 @@ from driftcore import _core
 from driftcore.climate import synthetic_record
 from driftcore.grids import VectorGrid
 from driftcore.record import mean_cycle, phase_of_day
+from driftcore.verification import crps, score_ratio
 
 Floats = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -183,17 +184,9 @@ def test_law_does_not_jump_at_the_horizon() -> None:
     assert np.abs(correlation - correlation.mean(axis=0)).max() < 0.03
 
 
-def crps(members: Floats, truth: Floats) -> Floats:
-    """Fair CRPS of ensembles (members, cases, ...), by the ordered members."""
-    count = len(members)
-    ordered = np.sort(members, axis=0)
-    weight = (2 * np.arange(count) - count + 1).reshape(-1, *[1] * truth.ndim)
-    between = 2 * (weight * ordered).sum(axis=0) / (count * (count - 1))
-    return np.asarray(np.abs(members - truth).mean(axis=0) - between / 2)
-
-
-def scores(cases: int, members: int, half_life_h: float = 120.0) -> tuple[Floats, Floats]:
-    """Mean CRPS [m/s] by step of handed-over wind and of the climate, horizon 10 of 20 days."""
+@lru_cache
+def winds(cases: int, members: int, half_life_h: float = 120.0) -> tuple[Floats, Floats, Floats]:
+    """What came, and members handed over and of the climate; horizon 10 of 20 days."""
     steps, handed = 81, 41
     truth, other = drawn(cases, steps, seed=7), drawn(cases, steps, seed=8)
     r = 2.0 ** -((6 * np.arange(handed) / half_life_h) ** 2)[:, None]
@@ -205,19 +198,41 @@ def scores(cases: int, members: int, half_life_h: float = 120.0) -> tuple[Floats
     _, wind = over.sample(cases * members, steps, seed=9)
     climatic = drawn(cases * members, steps, seed=10)
     found, known = (w.reshape(members, cases, steps, 2) for w in (wind, climatic))
-    return tuple(crps(w, truth).mean(axis=(0, 2)) for w in (found, known))  # type: ignore[return-value]
+    return truth, found, known
 
 
 def test_handed_over_wind_beats_the_climate_and_becomes_it() -> None:
-    found, known = scores(cases=300, members=40)
-    ratio = found / known
+    truth, found, known = winds(cases=300, members=40)
+    scores = (crps(members, truth).mean(axis=2) for members in (found, known))
+    share = score_ratio(*scores, np.arange(300))
+    ratio = share["ratio"].to_numpy()
     assert ratio[0] < 1e-9  # r = 1
     # With Gaussian errors the CRPS goes as the sd: √(1 - r²) of the climate's.
     leads = np.array([24, 48, 72, 96, 120])
     expected = np.sqrt(1 - 4.0 ** -((leads / 120) ** 2))
     np.testing.assert_allclose(ratio[leads // 6], expected, rtol=0.1)
-    assert ratio[:21].max() < 1
+    assert share["high"].to_numpy()[:21].max() < 1  # by pairs
     assert abs(ratio[-24:].mean() - 1) < 0.01
+    assert share["low"].to_numpy()[-24:].min() < 1 < share["high"].to_numpy()[-24:].max()
+
+
+def test_drift_under_handed_over_wind_beats_the_climates() -> None:
+    """A position remembers the wind of the first days, so the climate's is never as good."""
+    truth, found, known = winds(cases=300, members=40)
+    scenario = dc.paper.scenario(coast=None).replace(duration=480 / 625)
+    days = np.array([1, 3, 5, 10, 20])
+
+    def ends(wind: Floats) -> Floats:
+        paths = dc.WindPaths(np.arange(81) * 6 / 625, wind.reshape(-1, 81, 2) / 3)
+        run = dc.forecast(scenario, paths, keep=len(paths), times=days * 24 / 625)
+        return run.dataset["position"].to_numpy().reshape(*wind.shape[:-2], len(days), 2)
+
+    came = ends(truth)
+    scores = (crps(ends(members), came).mean(axis=2) for members in (found, known))
+    share = score_ratio(*scores, np.arange(300))
+    assert (share["high"] < 1).all()
+    assert (np.diff(share["ratio"]) > 0).all()
+    assert share["high"][0] < 0.1
 
 
 # Members, models, threads

@@ -13,6 +13,7 @@ from driftcore import _core
 from driftcore.errors import ScenarioError
 from driftcore.forecast import regular_times
 from driftcore.maps import MapGrid
+from driftcore.statistics import standard_error
 from reference import Floats
 
 # Regular, but not of a step that floats hold exactly; members leave it on all sides.
@@ -285,8 +286,14 @@ def test_the_dataset_says_what_it_holds(
     assert data["x_bounds"].values[0, 0] == COLUMNS[0]
     assert data["y_bounds"].values[-1, 1] == ROWS[-1]
     p = data["presence"].values
+    for name in ("presence", "arrival", "visit", "outside", "ashore"):
+        error = data[f"{name}_standard_error"]
+        assert error.dims == data[name].dims
+        assert error.values == pytest.approx(
+            standard_error(120 * data[name].values, 120), abs=1e-15
+        )
+        assert (error.values > 0).all()
     error = data["presence_standard_error"].values
-    assert (error > 0).all()
     binomial = np.sqrt(p * (1 - p) / 120)
     assert np.abs(error - binomial)[(p > 0.2) & (p < 0.8)].max() < 0.01
     fc.to_netcdf(tmp_path / "maps.nc")

@@ -34,7 +34,7 @@ POLYGONS = {
     "rings": [[[-9.0, -9.0], [9.0, -9.0], [9.0, 0.7], [-9.0, 0.7]], [[5, 5], [6, 5], [6, 6]]],
     "side": "outside",
 }
-FILES = ["trajectories.png", "roses.png", "stranding_times.png"]
+FILES = ["trajectories.png", "roses.png", "stranding_times.png", "estimate.png"]
 
 
 def make_forecast(

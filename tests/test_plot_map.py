@@ -18,7 +18,7 @@ from matplotlib.text import Text
 from typer.testing import CliRunner
 
 import driftcore as dc
-from driftcore import cli, plot_map
+from driftcore import cli, plot_map, plot_presence
 from driftcore.statistics import wilson
 
 # A coast along 2° W with a bay, and a lake behind it.
@@ -92,7 +92,7 @@ def test_contours_hold_what_they_say(forecast: dc.GeographicForecast, index: int
     now = forecast.dataset.isel(map_time=index)
     artists = plot_map.presence_map(forecast, now["map_time"].values)
     contours = [artist for artist in artists if isinstance(artist, QuadContourSet)]
-    smooth, levels = plot_map._densest(now["presence"].values, float(now["outside"]))
+    smooth, levels = plot_presence._densest(now["presence"].values, float(now["outside"]))
     assert [contour.levels[0] for contour in contours] == list(levels.values())
     afloat = float(now["presence"].sum() + now["outside"])
     for share, level in levels.items():
@@ -104,13 +104,13 @@ def test_contours_hold_what_they_say(forecast: dc.GeographicForecast, index: int
 def test_contours_of_known_regions() -> None:
     presence = np.zeros((11, 11))
     presence[5, 5], presence[5, 1] = 0.6, 0.2
-    _, levels = plot_map._densest(presence, outside=0.0)
+    _, levels = plot_presence._densest(presence, outside=0.0)
     # Where 90 % are needed, the lesser peak belongs to it: half of 0.8 is at the greater one.
     assert levels[0.5] == pytest.approx(0.6 * 0.375**2)
     assert levels[0.9] == pytest.approx(0.2 * 0.375**2)
-    _, levels = plot_map._densest(presence, outside=0.2)
+    _, levels = plot_presence._densest(presence, outside=0.2)
     assert list(levels) == [0.5]
-    assert plot_map._densest(0 * presence, outside=0.0)[1] == {}
+    assert plot_presence._densest(0 * presence, outside=0.0)[1] == {}
 
 
 def test_a_map_says_what_it_is(forecast: dc.GeographicForecast) -> None:
@@ -311,7 +311,8 @@ def test_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_all_figures_are_written(forecast: dc.GeographicForecast, tmp_path: Path) -> None:
     maps = forecast.dataset.sizes["map_time"]
-    expected = {"paths.png", "arrival.png", *(f"presence_{k}.png" for k in range(1, maps + 1))}
+    always = {"paths.png", "arrival.png", "estimate.png", "stranding_rose.png"}
+    expected = {*always, *(f"presence_{k}.png" for k in range(1, maps + 1))}
     assert {path.name for path in plot_map.save_all(forecast, tmp_path)} == expected
     assert {path.name for path in tmp_path.iterdir()} == expected
     with pytest.raises(dc.OutputError, match="exists"):

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from driftcore.statistics import chi_square, chi_square_p, kolmogorov_smirnov
+from driftcore.statistics import (
+    chi_square,
+    chi_square_p,
+    kolmogorov_smirnov,
+    quantile_interval,
+    wilson,
+)
 
 
 @pytest.mark.parametrize("freedom", [1, 2, 3, 10, 600, 1401])
@@ -53,3 +59,33 @@ def test_kolmogorov_smirnov() -> None:
         assert kolmogorov_smirnov(one, other) == pytest.approx(expected, rel=0.15)
     assert kolmogorov_smirnov(one, one) == 1.0
     assert kolmogorov_smirnov(one, one + 10) < 1e-9
+
+
+@pytest.mark.parametrize("members", [5, 40, 300])
+@pytest.mark.parametrize("quantile", [0.05, 0.5, 0.9])
+def test_intervals_of_quantiles_cover_whatever_the_law(members: int, quantile: float) -> None:
+    random = np.random.default_rng(members)
+    held = 0
+    for values in random.exponential(size=(2_000, members)):
+        low, high = quantile_interval(values, [quantile])
+        # What the sample cannot tell is no bound.
+        held += not low[0] > stats.expon.ppf(quantile) and not high[0] < stats.expon.ppf(quantile)
+    assert held / 2_000 > 0.935
+
+
+def test_intervals_of_quantiles_are_values_of_the_sample() -> None:
+    low, high = quantile_interval(np.arange(1.0, 101)[::-1], [0.0, 0.5, 1.0])
+    # 50 -+ (1.96 * 5 + 0.5), the upper one up to the next rank.
+    assert low.tolist() == pytest.approx([np.nan, 40, 100], nan_ok=True)
+    assert high.tolist() == pytest.approx([1, 61, np.nan], nan_ok=True)
+    assert np.isnan(quantile_interval([], [0.5])).all()
+
+
+@pytest.mark.parametrize("p", [0.02, 0.3, 0.6])
+@pytest.mark.parametrize("members", [1_000, 10_000])
+def test_wilson_covers_as_often_as_it_says(p: float, members: int) -> None:
+    """Exactly, over all counts."""
+    counts = np.arange(members + 1)
+    low, high = wilson(counts, members)
+    held = stats.binom.pmf(counts, members, p)[(low <= p) & (p <= high)].sum()
+    assert 0.94 < held < 0.96

@@ -346,6 +346,12 @@ def test_winds_like_knots_are_doubted(mean: float, spread: float) -> None:
         read_record(frame)
 
 
+def test_a_gale_of_some_days_is_believed() -> None:
+    frame = table(rows=40)
+    frame["u10"] = 20.0
+    assert len(read_record(frame)) == 40  # a warning would be an error here
+
+
 def test_the_real_record_is_believed_in_metres_per_second_only(belle_ile_csv: Path) -> None:
     record = read_record(belle_ile_csv, months=(6, 7, 8))
     assert len(record) == 2208

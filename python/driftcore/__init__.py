@@ -30,6 +30,7 @@ from driftcore.forecast import (
     trajectory,
 )
 from driftcore.maps import MapGrid
+from driftcore.multifidelity import MultifidelityProbability, multifidelity_probability
 from driftcore.record import WindRecord, read_record
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
@@ -37,7 +38,7 @@ from driftcore.statistics import Probability
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
-    from driftcore import coast, currents, objects, report, tides
+    from driftcore import coast, currents, hindcast, objects, report, tides, verification
     from driftcore.coast import LandCoast
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
@@ -71,7 +72,7 @@ _OF_THE_REAL_SEA = {
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("coast", "currents", "objects", "report", "tides"):
+    if name in ("coast", "currents", "hindcast", "objects", "report", "tides", "verification"):
         return import_module(f"driftcore.{name}")
     if name in _OF_THE_REAL_SEA:
         return getattr(import_module(f"driftcore.{_OF_THE_REAL_SEA[name]}"), name)
@@ -100,6 +101,7 @@ __all__ = [
     "Leeway",
     "LocalGridBootstrap",
     "MapGrid",
+    "MultifidelityProbability",
     "OutputError",
     "Polygons",
     "Probability",
@@ -117,8 +119,10 @@ __all__ = [
     "coast",
     "currents",
     "forecast",
+    "hindcast",
     "member_path",
     "member_trajectories",
+    "multifidelity_probability",
     "objects",
     "open_forecast",
     "paper",
@@ -131,4 +135,5 @@ __all__ = [
     "run",
     "tides",
     "trajectory",
+    "verification",
 ]

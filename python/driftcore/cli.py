@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from time import perf_counter
@@ -34,6 +39,7 @@ from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, Scen
 from driftcore.words import how, set_up
 
 if TYPE_CHECKING:
+    from driftcore.coast import LandCoast
     from driftcore.forecast import Forecast
 
 out = Console(highlight=False)
@@ -47,9 +53,19 @@ class Commands(TyperGroup):
         """Run the command that was asked for."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            err.print("interrupted; nothing was written")
-            raise typer.Exit(130) from None
+        except KeyboardInterrupt as cause:
+            ended = isinstance(cause, Terminated) or isinstance(cause.__context__, Terminated)
+            told = f"{'terminated' if ended else 'interrupted'}; nothing was written"
+            err.print(escape(str(cause) or told))
+            raise typer.Exit(143 if ended else 130) from None
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end, by SIGTERM."""
+
+
+def _terminate(*_: object) -> None:
+    raise Terminated
 
 
 app = typer.Typer(
@@ -57,7 +73,6 @@ app = typer.Typer(
     help="Where will something adrift on the sea be, weeks to months ahead?\n\n"
     "Probabilities, from many simulated winds. To begin: `driftcore demo`.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
@@ -67,10 +82,17 @@ Threads = Annotated[int | None, typer.Option(min=1, help="Threads; default all p
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario file (TOML).")]
-ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast file (NetCDF).")]
+Silent = Annotated[bool, typer.Option("--quiet", "-q", help="Do not list the files written.")]
+Coast = Annotated[
+    Path | None,
+    typer.Option(help="Land to draw on the real sea; default that of the package."),
+]
+ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast (.nc or .zarr).")]
 
 # Members followed to estimate what all of them cost.
 _FEW, _MORE = 32, 256
+# The coast of the package, as scenario files call it.
+_LAND = "natural-earth"
 # Stretches of coast shown.
 _STRETCHES = 5
 
@@ -107,6 +129,7 @@ def demo(
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run the paper's forecast on the embedded synthetic wind.
 
@@ -126,22 +149,43 @@ def demo(
     from driftcore.forecast import member_trajectories
 
     with filling(output, overwrite, expected="demo.nc") as folder:
-        forecast = _run(configuration, Path(), threads, quiet)
+        forecast = _run(configuration, Path(), threads, quiet or as_json)
         forecast.to_netcdf(folder / "demo.nc")
         written = [
             folder / "demo.nc",
             *figures.save_all(forecast.dataset, folder),
             *figures.save_member(*member_trajectories(forecast), folder),
         ]
-    if not quiet:
+    files = [output / path.name for path in written]
+    if as_json:
+        _print_json({**_result(forecast), "files": [str(path) for path in files]})
+    elif not quiet:
         _summary(forecast)
-        _say_written([output / path.name for path in written])
+        _say_written(files)
 
 
 @app.command(rich_help_panel="Forecast")
 def run(
     scenario: ScenarioFile,
-    output: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="NetCDF file to write, or a store for long runs (.zarr)."
+        ),
+    ],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a store that is unfinished.")
+    ] = False,
+    chunk: Annotated[
+        int | None, typer.Option(min=1, help="Members in each chunk of a store.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Let the workers of this dask scheduler follow."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Let so many dask workers of this machine follow.")
+    ] = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -150,16 +194,43 @@ def run(
     """Run the forecast that a scenario file describes.
 
     A file to start from, with every number explained: `driftcore new my.toml`. Relative paths in
-    it start at its folder.
+    it start at its folder. A store (.zarr) is written chunk by chunk: memory does not grow with
+    the number of members, and what is finished outlives any interruption.
     """
     from driftcore.files import check_writable
     from driftcore.geographic_configuration import read_configuration
 
     configuration = read_configuration(scenario)
-    check_writable(output, overwrite)
     # The forecast records its wind by this path: absolute, it can be run again from anywhere.
-    forecast = _run(configuration, scenario.parent.resolve(), threads, quiet or as_json)
-    forecast.to_netcdf(output, overwrite)
+    folder, quiet_bar = scenario.parent.resolve(), quiet or as_json
+    if output.suffix == ".zarr":
+        how: dict[str, Any] = {"resume": resume, "overwrite": overwrite, "chunk": chunk}
+        try:
+            with ExitStack() as stack:
+                if scheduler is not None or workers is not None:
+                    from driftcore.distributed import connected
+
+                    how["client"] = stack.enter_context(connected(scheduler, workers))
+                forecast = _run(configuration, folder, threads, quiet_bar, store=output, **how)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted; what is finished is kept: driftcore run {scenario} -o {output} "
+                "--resume"
+            ) from None
+    else:
+        for name, value in {
+            "resume": resume,
+            "chunk": chunk,
+            "scheduler": scheduler,
+            "workers": workers,
+        }.items():
+            if value:
+                raise ScenarioError(
+                    f"--{name}: is of a store; name one that ends in .zarr, not {output.name}"
+                )
+        check_writable(output, overwrite)
+        forecast = _run(configuration, folder, threads, quiet_bar)
+        forecast.to_netcdf(output, overwrite)
     if as_json:
         sys.stdout.write(json.dumps(_result(forecast)) + "\n")
     elif not quiet:
@@ -175,14 +246,24 @@ def check(
         bool, typer.Option("--quiet", "-q", help="Warnings alone: the exit code tells.")
     ] = False,
     as_json: AsJson = False,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="PNG", help="Draw what is set up into this file."),
+    ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Check a scenario file, say what it sets up, and estimate what the run costs.
 
     Everything is read, the wind is fitted, and a few members are followed.
     """
-    from driftcore.forecast import default_threads, planned
+    from driftcore.forecast import FIRST_LOOK, PRECISION, default_threads, planned
     from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
+    from driftcore.statistics import members_needed
 
+    if picture is not None:
+        from driftcore.drawing import check_picture
+
+        check_picture(picture, overwrite)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", DriftCoreWarning)
         configuration = read_configuration(scenario)
@@ -190,14 +271,30 @@ def check(
         with err.status("reading, fitting the wind, following a few members"):
             start = perf_counter()
             follow = planned(configuration, scenario.parent.resolve())
-            times, sizes, numbers = [], [], (min(_FEW, wanted.members), min(_MORE, wanted.members))
-            times.append(perf_counter() - start)
+            times, sizes = [perf_counter() - start], []
+            follow = partial(follow, precision=None, threads=threads)
+            if wanted.members == "auto":
+                # As far as a few tell.
+                p = follow(members=_MORE, keep=0).stranding_probability()
+                precision = wanted.precision or PRECISION
+                whole = max(FIRST_LOOK, members_needed((p.low + p.high) / 2, precision))
+            else:
+                whole = wanted.members
+            numbers = (min(_FEW, whole), min(_MORE, whole))
             for members in numbers:
                 start = perf_counter()
-                keep = round(members * min(1, wanted.keep / wanted.members))
-                forecast = follow(members=members, keep=keep, threads=threads)
+                keep = round(members * min(1, wanted.keep / whole))
+                forecast = follow(members=members, keep=keep)
                 times.append(perf_counter() - start)
                 sizes.append(forecast.dataset.nbytes)
+            if picture is not None:
+                from driftcore.drawing import save_figures
+                from driftcore.plot_setup import set_up as draw_set_up
+
+                given = follow.keywords
+                sea, winds = follow.args
+                drawn: Any = draw_set_up(sea, winds, given["maps"], given["targets"])
+                save_figures({picture.stem: drawn[0].figure}, picture.parent, overwrite)
     told = [str(w.message) for w in caught if issubclass(w.category, DriftCoreWarning)]
     if isinstance(configuration, GeographicConfiguration):
         told += configuration.doubts()
@@ -205,11 +302,11 @@ def check(
     reading, few, more = times
     between = max(1, numbers[1] - numbers[0])
     each, size = max(0.0, more - few) / between, (sizes[1] - sizes[0]) / between
-    rest = wanted.members - numbers[1]
+    rest = whole - numbers[1]
     seconds = reading + more + each * rest
     megabytes = (sizes[1] + size * rest) / 1e6
     estimate = {
-        "members": wanted.members,
+        "members": whole,
         "threads": threads or default_threads(),
         "preparation_s": reading + max(0.0, few - each * numbers[0]),
         "seconds": seconds,
@@ -221,13 +318,15 @@ def check(
         sys.stdout.write(json.dumps(about) + "\n")
         return
     table = _rows([*set_up(forecast), *how(forecast)])
+    at_precision = " or so, as precision takes" if wanted.members == "auto" else ""
     table.add_row(
         "cost",
-        f"{wanted.members} members: about {_duration(seconds)} on "
+        f"{whole} members{at_precision}: about {_duration(seconds)} on "
         f"{estimate['threads']} threads, {max(1, round(megabytes))} MB",
     )
     if not quiet:
         out.print(table)
+        _say_written([] if picture is None else [picture])
     for message in told:
         _say("yellow", "warning", message)
 
@@ -259,17 +358,28 @@ def new(
     current: Annotated[str | None, typer.Option(metavar="NC", help="Residual current.")] = None,
     coast: Annotated[str | None, typer.Option(metavar="MAP", help="Land polygons.")] = None,
     overwrite: Overwrite = False,
+    defaults: Annotated[
+        bool, typer.Option("--defaults", help="Ask nothing; what is left out has its default.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Do not say that the file is written.")
+    ] = False,
 ) -> None:
     """Write a scenario file to start from, with every number explained.
 
-    Without options it is an example in the Bay of Biscay that runs as it is.
+    In a terminal and without options it asks for what matters, and Enter takes what it proposes:
+    an example in the Bay of Biscay that runs as it is, which `--defaults` writes without asking.
     """
-    from driftcore.files import replacing
+    from driftcore.files import check_writable, replacing
     from driftcore.geographic_configuration import GeographicConfiguration
     from driftcore.scenario import RunConfiguration
 
+    check_writable(file, overwrite)
     configuration: RunConfiguration | GeographicConfiguration
-    if geographic:
+    nothing = all(v is None for v in (release, days, drifter, wind, tides, current, coast))
+    if geographic and nothing and not (defaults or quiet) and _speaks_with_someone():
+        configuration = _asked()
+    elif geographic:
         configuration = GeographicConfiguration.example(
             release,
             60.0 if days is None else days,
@@ -288,7 +398,47 @@ def new(
         configuration = RunConfiguration()
     with replacing(file, overwrite) as temporary:
         temporary.write_text(configuration.to_toml(), encoding="utf-8")
-    _say_written([file])
+    if not quiet:
+        _say_written([file])
+
+
+def _speaks_with_someone() -> bool:
+    """Say whether somebody can answer: neither pipe nor file stands at either end."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _asked() -> Any:
+    """Ask for what a scenario of the real sea needs; Enter takes what is proposed."""
+    from driftcore.geographic_configuration import GeographicConfiguration
+
+    def ask(words: str, default: Any, kind: Any = str) -> Any:
+        return typer.prompt(words, default=default, type=kind)
+
+    place = GeographicConfiguration.example().release
+    (longitude, latitude) = place.coordinates[0][0] if place else (0.0, 0.0)
+    start = f"{place.start:%Y-%m-%dT%H:%M}" if place else ""
+    while True:
+        release = (
+            ask("Longitude of the release [degrees, east positive]", longitude, float),
+            ask("Latitude [degrees, north positive]", latitude, float),
+            ask("Time [UTC]", start),
+        )
+        days = ask("Days to follow it", 60.0, float)
+        drifter = ask("Search object (`driftcore objects` lists them), or a floating body", "body")
+        wind = ask("Wind record (CSV of u10, v10), or embedded: a synthetic climate", "embedded")
+        tides = ask("Tides: file of an atlas, biscay: idealised, or none", "biscay")
+        coast = ask("Coast: file of land polygons, or natural-earth: of the package", _LAND)
+        try:
+            return GeographicConfiguration.example(
+                release,
+                days,
+                None if drifter == "body" else drifter,
+                wind=None if wind == "embedded" else wind,
+                tides=tides,
+                coast=None if coast == _LAND else coast,
+            )
+        except DriftCoreError as error:
+            _say("red", "error", " ".join(str(error).split()))
 
 
 @app.command(rich_help_panel="Forecast")
@@ -296,18 +446,24 @@ def objects(
     word: Annotated[
         str, typer.Argument(metavar="[WORD]", help="Those alone that hold this word.")
     ] = "",
+    as_json: AsJson = False,
 ) -> None:
     """List the search objects whose leeway is known."""
     from driftcore.objects import categories
 
-    table = Table("key", "what", "downwind")
-    for key, row in categories().iterrows():
-        if word.casefold() in f"{key} {row['description']}".casefold():
-            table.add_row(
-                str(key), escape(row["description"]), f"{row['downwind_slope_percent']} %"
-            )
-    if not table.row_count:
+    found = [
+        {"key": str(key), "what": row["description"], "downwind": row["downwind_slope_percent"]}
+        for key, row in categories().iterrows()
+        if word.casefold() in f"{key} {row['description']}".casefold()
+    ]
+    if not found:
         raise ScenarioError(f"word: {word!r} is in no category; driftcore objects lists them all")
+    if as_json:
+        _print_json(found)
+        return
+    table = Table("key", "what", "downwind")
+    for one in found:
+        table.add_row(one["key"], escape(one["what"]), f"{one['downwind']} %")
     out.print(table)
 
 
@@ -331,38 +487,107 @@ def plot(
         Path | None,
         typer.Option("--output", "-o", help="Folder for the figures; default that of the file."),
     ] = None,
-    coast: Annotated[
-        Path | None,
-        typer.Option(help="Land to draw on the real sea; default that of the package."),
-    ] = None,
+    coast: Coast = None,
     overwrite: Overwrite = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Do not list the files written.")
-    ] = False,
+    quiet: Silent = False,
+    as_json: AsJson = False,
 ) -> None:
     """Draw the figures of a forecast.
 
     Of the paper's case: trajectories, roses, stranding times. On the real sea: paths, arrival,
-    and a map of each map time.
+    stranding rose, and by stretch where the scenario divides its coast. Of both: how the estimate
+    settles, and a map of each map time.
     """
     from driftcore import plot
     from driftcore.dataset import is_geographic
     from driftcore.files import filling
     from driftcore.forecast import open_forecast
 
-    dataset = open_forecast(forecast).dataset
+    opened = open_forecast(forecast)
+    dataset = opened.dataset
     target = forecast.parent if output is None else output
     with filling(target, overwrite) as folder:
         if is_geographic(dataset):
             from driftcore import plot_map
             from driftcore.coast import LandCoast
 
-            land = LandCoast.default() if coast is None else LandCoast.from_file(coast)
+            land = _own_coast(opened) if coast is None else LandCoast.from_file(coast)
+            land = land or LandCoast.default()
             written = plot_map.save_all(dataset, folder, land)
         else:
             written = plot.save_all(dataset, folder)
-    if not quiet:
-        _say_written([target / path.name for path in written])
+    _list_written([target / path.name for path in written], quiet, as_json)
+
+
+@app.command(rich_help_panel="Results")
+def animate(
+    forecast: ForecastFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Film to write: .mp4 or .gif.")
+    ],
+    coast: Coast = None,
+    kind: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="`maps` or `members`; default maps where there are any."),
+    ] = None,
+    fps: Annotated[float, typer.Option(help="Frames a second.")] = 10.0,
+    frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 200,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a film of a forecast: its maps, or its kept members, time after time.
+
+    mp4 needs ffmpeg, the system's or that of `pip install "driftcore[animation]"`.
+    """
+    from driftcore import animation
+    from driftcore.coast import LandCoast
+    from driftcore.dataset import is_geographic
+    from driftcore.forecast import open_forecast
+
+    dataset = open_forecast(forecast).dataset
+    land = None
+    if coast is not None:
+        land = LandCoast.from_file(coast)
+    elif is_geographic(dataset):
+        land = LandCoast.default()
+    with _bar("frames", quiet or as_json) as progress:
+        chosen: Any = kind  # anything else is refused by its name
+        animation.save(dataset, output, land, chosen, frames, fps, overwrite, progress)
+    _list_written([output], quiet, as_json)
+
+
+@app.command(rich_help_panel="Results")
+def export(
+    forecast: ForecastFile,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="File to write: .geojson, .gpkg, .csv, .parquet or .nc.",
+        ),
+    ],
+    written_as: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Of .nc: `opendrift` or `clouddrift`."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Silent = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a forecast for another program, by the end of the file's name.
+
+    `.csv`, `.parquet`: a row for each member. `.geojson`: strandings as points. `.gpkg`:
+    strandings, trajectories and cells of the maps, a layer each. `.nc`: trajectories.
+    """
+    from driftcore.export import export as write_export
+    from driftcore.forecast import open_forecast
+
+    chosen: Any = written_as  # anything else is refused by its name
+    write_export(open_forecast(forecast), output, chosen, overwrite)
+    _list_written([output], quiet, as_json)
 
 
 @app.command(rich_help_panel="Results")
@@ -377,9 +602,8 @@ def report(
         typer.Option(help="Land to draw on the real sea; default that of the scenario."),
     ] = None,
     overwrite: Overwrite = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Do not name the file written.")
-    ] = False,
+    quiet: Silent = False,
+    as_json: AsJson = False,
 ) -> None:
     """Write a forecast as one page for whoever must decide: map, coast, arrival, limits.
 
@@ -392,8 +616,7 @@ def report(
     target = forecast.with_suffix(".html") if output is None else output
     land = None if coast is None else LandCoast.from_file(coast)
     page.write(open_forecast(forecast), target, land, overwrite)
-    if not quiet:
-        _say_written([target])
+    _list_written([target], quiet, as_json)
 
 
 @app.command(rich_help_panel="Results")
@@ -417,6 +640,10 @@ def validate(
         typer.Option(metavar="LIST", help="Its months, or `all`; default 6,7,8."),
     ] = None,
     overwrite: Overwrite = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print nothing: the exit code tells.")
+    ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure the models against each other and the paper's tables, beside what is required.
 
@@ -445,9 +672,12 @@ def validate(
     for check in measured.checks:
         verdict = "[green]ok[/]" if check.passed else "[red]not met[/]"
         table.add_row(check.name, f"{check.measured:.4g}", check.required, verdict)
-    out.print(table)
-    if output is not None:
-        _say_written([output / REPORT])
+    if as_json:
+        checks = [{**asdict(check), "passed": check.passed} for check in measured.checks]
+        _print_json({"passed": measured.passed, "checks": checks})
+    elif not quiet:
+        out.print(table)
+        _say_written([] if output is None else [output / REPORT])
     if not measured.passed:
         raise typer.Exit(1)
 
@@ -463,14 +693,25 @@ def _months(words: str) -> list[int] | None:
         ) from None
 
 
-def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> Forecast:
+def _run(
+    configuration: Any, folder: Path, threads: int | None, quiet: bool, **store: Any
+) -> Forecast:
     from driftcore.forecast import run as run_configuration
 
+    with _bar("members", quiet, "fitting the wind") as progress:
+        return run_configuration(
+            configuration, folder=folder, threads=threads, progress=progress, **store
+        )
+
+
+@contextmanager
+def _bar(things: str, quiet: bool, first: str = "beginning") -> Iterator[Any]:
+    """Give what shows how far a work is, at which rate, and how long it still takes."""
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("members"),
+        TextColumn(things),
         _Rate(),
         TimeRemainingColumn(),
         console=err,
@@ -478,16 +719,17 @@ def _run(configuration: Any, folder: Path, threads: int | None, quiet: bool) -> 
         transient=True,
     )
     with bar:
-        task = bar.add_task("fitting the wind", total=None)
+        task = bar.add_task(first, total=None)
 
-        def progress(done: int, members: int) -> None:
-            bar.update(task, description="following", completed=done, total=members)
+        def progress(done: int, total: int) -> None:
+            described = "following" if things == "members" else "drawing"
+            bar.update(task, description=described, completed=done, total=total)
 
-        return run_configuration(configuration, folder=folder, threads=threads, progress=progress)
+        yield progress
 
 
 class _Rate(ProgressColumn):
-    """Members followed in a second."""
+    """Things done in a second."""
 
     def render(self, task: Task) -> Text:
         return Text(f"{task.speed:.0f}/s" if task.speed and task.total else "")
@@ -502,20 +744,28 @@ def _attributes(forecast: Forecast) -> dict[str, Any]:
     }
 
 
+def _own_coast(forecast: Forecast) -> LandCoast | None:
+    """Coast of a run on the real sea, with its stretches, if its file is still there."""
+    from driftcore.geographic_forecast import GeographicForecast
+
+    if not isinstance(forecast, GeographicForecast):
+        return None
+    try:
+        return forecast.coast()
+    except DriftCoreError as error:
+        # The forecast outlives the files it was made from.
+        _say("yellow", "warning", f"its coast cannot be read: {error}")
+        return None
+
+
 def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     """Probabilities by stretch of the coast, the greatest first, where it is divided."""
     from driftcore.geographic_forecast import GeographicForecast
 
-    if not isinstance(forecast, GeographicForecast) or not forecast.followed:
+    coast = _own_coast(forecast)
+    if coast is None or not coast.stretches or not forecast.followed:
         return []
-    try:
-        coast = forecast.coast()
-    except DriftCoreError as error:
-        # The forecast outlives the files it was made from.
-        _say("yellow", "warning", f"no stretches of the coast: {error}")
-        return []
-    if coast is None or not coast.stretches:
-        return []
+    assert isinstance(forecast, GeographicForecast)  # noqa: S101 (for the type checker)
     found = forecast.stranding_by_stretch(coast)
     told = []
     for name, p, low, high in zip(
@@ -531,10 +781,15 @@ def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     return sorted(told, key=lambda stretch: -stretch["probability"])
 
 
+def _or_none(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return None if math.isnan(value) else value
+
+
 def _result(forecast: Forecast) -> dict[str, Any]:
     # Without a member that could be followed there is no probability.
     p = forecast.stranding_probability() if forecast.followed else None
-    quantiles = forecast.stranding_time_quantiles().values
+    quantiles = forecast.stranding_time_quantiles()
     attributes = forecast.dataset.attrs
     targets = forecast.dataset["target"].values if "target" in forecast.dataset else ()
     entries = {str(name): forecast.entry_probability(name) for name in targets if p}
@@ -545,8 +800,11 @@ def _result(forecast: Forecast) -> dict[str, Any]:
         "level": p and p.level,
         **forecast.counts,
         "stranding_time_quantiles": {
-            str(q): None if t != t else float(t)
-            for q, t in zip((0.05, 0.5, 0.95), quantiles, strict=True)
+            str(t["quantile"].item()): _or_none(t.item()) for t in quantiles
+        },
+        "stranding_time_intervals": {
+            str(t["quantile"].item()): [_or_none(t[bound].item()) for bound in ("low", "high")]
+            for t in quantiles
         },
         "days_per_unit_of_time": forecast.days_per_unit,
         "stretches": _stretches(forecast),
@@ -590,15 +848,25 @@ def _summary(forecast: Forecast, about: Iterable[tuple[str, str]] = ()) -> None:
         )
     early, middle, late = result["stranding_time_quantiles"].values()
     if middle is not None:
+        low, high = result["stranding_time_intervals"]["0.5"]
+        between = "" if None in (low, high) else f" ({low * unit:.1f} to {high * unit:.1f})"
         table.add_row(
             "when",
-            f"median {middle * unit:.1f} days; nine in ten between "
+            f"median {middle * unit:.1f} days{between}; nine in ten between "
             f"{early * unit:.1f} and {late * unit:.1f}",
         )
-        sectors = forecast.stranding_by_sector(8)["probability"].values
+        found = forecast.stranding_by_sector(8)
         names = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
-        ranked = sorted(zip(sectors, names, strict=True), reverse=True)[:3]
-        table.add_row("where", ", ".join(f"{name} {share:.3f}" for share, name in ranked if share))
+        shares = (found[key].values for key in ("probability", "low", "high"))
+        ranked = sorted(zip(*shares, names, strict=True), reverse=True)[:3]
+        table.add_row(
+            "where",
+            ", ".join(
+                f"{name} {share:.3f} ({low:.3f} to {high:.3f})"
+                for share, low, high, name in ranked
+                if share
+            ),
+        )
     for k, stretch in enumerate(result["stretches"][:_STRETCHES]):
         table.add_row(
             "" if k else "stretches",
@@ -623,6 +891,17 @@ def _named(stretch: dict[str, Any]) -> str:
         return str(stretch["stretch"])
     longitude, latitude = stretch["middle"]
     return f"{stretch['stretch']}, about {place_name(longitude, latitude)}"
+
+
+def _print_json(told: Any) -> None:
+    sys.stdout.write(json.dumps(told) + "\n")
+
+
+def _list_written(paths: list[Path], quiet: bool, as_json: bool) -> None:
+    if as_json:
+        _print_json({"files": [str(path) for path in paths]})
+    elif not quiet:
+        _say_written(paths)
 
 
 def _say_written(paths: list[Path]) -> None:
@@ -652,7 +931,12 @@ def _spoken_warnings() -> Iterator[None]:
 
 
 def main() -> None:
-    """Entry point: exit code 2 and one line for what the user can mend, 130 when interrupted."""
+    """Entry point: exit code 2 and one line for what the user can mend.
+
+    130 when interrupted, 143 when asked to end (SIGTERM), which tidies up all the same.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _terminate)
     if isinstance(sys.stdout, TextIOWrapper):
         # A name that the terminal's encoding lacks a letter of is no reason to stop.
         sys.stdout.reconfigure(errors="replace")

@@ -122,7 +122,11 @@ class LandCoast:
             A polygon was repaired, or the file does not say its reference system.
         """
         file = Path(path)
-        if not file.exists():
+        try:
+            there = file.exists()
+        except (OSError, ValueError):  # too long a name
+            there = False
+        if not there:
             raise ScenarioError(f"path: '{file}' is not accepted; there is no such file")
         need_geo("shapely")
         suffixes = [suffix.lower() for suffix in file.suffixes[-2:] if suffix.lower() != ".gz"]
@@ -652,6 +656,8 @@ def _read_geojson(file: Path, name_column: str | None) -> tuple[Geometries, list
     kind = document.get("type")
     if kind == "FeatureCollection":
         features = document.get("features") or []
+        if not isinstance(features, list):
+            raise ScenarioError(f"{file}: cannot be read as GeoJSON: features should be a list")
     else:
         bare = kind != "Feature"
         features = [{"geometry": document, "properties": {}} if bare else document]
@@ -668,8 +674,9 @@ def _read_geojson(file: Path, name_column: str | None) -> tuple[Geometries, list
         raise ScenarioError(_no_column(name_column, known))
     # RFC 7946 has longitude and latitude only; the GeoJSON before it could name another system.
     system = "OGC:CRS84"
-    if isinstance(document.get("crs"), dict):
-        system = document["crs"].get("properties", {}).get("name", system)
+    named = document.get("crs")
+    if isinstance(named, dict) and isinstance(named.get("properties"), dict):
+        system = str(named["properties"].get("name", system))
     return _array(geometries), names, system
 
 

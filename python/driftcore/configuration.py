@@ -110,7 +110,7 @@ def read_toml(source: str | Path) -> dict[str, Any]:
             raise ScenarioError(f"{source}: no such file") from None
         except OSError as error:
             raise ScenarioError(f"{source}: cannot be read: {error.strerror}") from None
-        except UnicodeDecodeError as error:
+        except ValueError as error:
             raise ScenarioError(f"{source}: is not UTF-8 text: {error}") from None
     try:
         return tomllib.loads(str(text))

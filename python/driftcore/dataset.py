@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from driftcore.errors import OutputError
+from driftcore.errors import OutputError, ScenarioError
 from driftcore.files import replacing
 from driftcore.statistics import standard_error
 
@@ -33,6 +33,10 @@ _FILE_OVERHEAD = 10**6
 # Of times, and how many nanoseconds each is.
 _TIME_UNITS = {"seconds": 10**9, "milliseconds": 10**6, "microseconds": 10**3, "nanoseconds": 1}
 _NO_TIME = np.int64(np.iinfo(np.int64).min)
+# Maps of whole numbers of members, as shares; the errors follow from them.
+_COUNTED = ("presence", "arrival", "visit", "outside", "ashore")
+# Dimension of what is kept of members where that is not all of them.
+KEPT = "kept_member"
 _TIME = {
     "long_name": "time since the release, in units of the run",
     "units": "1",
@@ -91,6 +95,7 @@ def trajectory_dataset(
 def forecast_dataset(
     scenario: Scenario,
     *,
+    first_member: int,
     status: NDArray[np.int8],
     stranding_time: NDArray[np.float64],
     stranding_position: NDArray[np.float64],
@@ -103,8 +108,9 @@ def forecast_dataset(
     """All members: shapes (member,), (member, 2), kept (kept, time, 2), (kept, wind_time, 2)."""
     import xarray as xr
 
-    members, kept = len(status), len(position)
-    dim = "member" if kept == members else "kept_member"
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
+
+    dim, coordinates = member_coordinates(first_member, len(status), len(position))
     variables = {
         "status": (("member",), status, STATUS_ATTRIBUTES),
         "stranding_time": _variable(("member",), stranding_time, "time of stranding"),
@@ -121,71 +127,60 @@ def forecast_dataset(
             "m s-1",
         ),
     }
-    member_attributes = {"cf_role": "trajectory_id", "long_name": "member of the ensemble"}
-    coordinates: dict[str, Any] = {
-        "member": ("member", np.arange(members), member_attributes),
+    coordinates |= {
         "component": ["x", "y"],
         "time": ("time", times, _TIME),
         "wind_time": ("wind_time", wind_times, {**_TIME, "long_name": "time of the wind"}),
     }
-    if dim != "member":
-        coordinates[dim] = (dim, np.arange(kept), {"long_name": "member whose path was kept"})
     return xr.Dataset(variables, coordinates, {**scenario_attributes(scenario), **attributes})
 
 
+def member_coordinates(first: int, members: int, kept: int) -> tuple[str, dict[str, Any]]:
+    """Give the dimension of what is kept of members, and the indices of all and of the kept."""
+    about = {"cf_role": "trajectory_id", "long_name": "member of the ensemble"}
+    coordinates: dict[str, Any] = {"member": ("member", first + np.arange(members), about)}
+    if kept == members:
+        return "member", coordinates
+    about = {"long_name": "member whose path was kept"}
+    return KEPT, coordinates | {KEPT: (KEPT, first + np.arange(kept), about)}
+
+
 def with_maps(
-    dataset: xr.Dataset, grid: MapGrid, counts: Iterable[NDArray[np.uint32]], followed: int
+    dataset: xr.Dataset, grid: MapGrid, counts: Iterable[NDArray[np.uint32]]
 ) -> xr.Dataset:
-    """Add maps: numbers of members, flat, as the core counts them, among those followed."""
+    """Add maps: numbers of members, flat, as the core counts them."""
     times, rows, columns = grid.shape
     cells = ("y", "x")
     present, arrived, outside, stranded = counts
-    present = present.reshape(times, rows, columns)
     # The last interval follows the last map.
     arrived = arrived.reshape(times + 1, rows, columns)
-    visited = arrived.sum(axis=0)
+    shares = map_shares(
+        {
+            "presence": present.reshape(times, rows, columns),
+            "arrival": arrived[:-1],
+            "visit": arrived.sum(axis=0),
+            "outside": outside,
+            "ashore": stranded,
+        },
+        followed_of(dataset),
+    )
 
-    def share(count: NDArray[Any]) -> NDArray[np.float64]:
-        return count / followed if followed else np.full(count.shape, np.nan)
-
-    def variable(dims: tuple[str, ...], values: Any, name: str, method: str | None = None) -> Any:
-        dims, values, attributes = _variable(dims, values, name)
-        return (
-            dims,
-            values,
-            attributes | ({"cell_methods": f"map_time: {method}"} if method else {}),
-        )
-
-    def error(count: NDArray[Any]) -> NDArray[np.float64]:
-        return standard_error(count, followed) if followed else share(count)
-
-    half_width = "half-width of its Wilson interval at one standard deviation"
-    variables = {
-        "presence": variable(
-            ("map_time", *cells), share(present), "probability of being afloat in the cell", "point"
-        ),
-        "presence_standard_error": variable(
-            ("map_time", *cells), error(present), f"presence: {half_width}", "point"
-        ),
-        "arrival": variable(
-            ("map_time", *cells),
-            share(arrived[:-1]),
-            "probability of entering the cell for the first time within the interval",
-            "sum",
-        ),
-        "visit": variable(
-            cells,
-            share(visited),
-            "probability of entering the cell within the run, or starting there",
-        ),
-        "visit_standard_error": variable(cells, error(visited), f"visit: {half_width}"),
-        "outside": variable(
-            ("map_time",), share(outside), "probability of being afloat beyond the maps", "point"
-        ),
-        "ashore": variable(
-            ("map_time",), share(stranded), "probability of having stranded", "point"
-        ),
+    on_maps = ("map_time", *cells)
+    mapped: dict[str, tuple[tuple[str, ...], str, str | None]] = {
+        "presence": (on_maps, "of being afloat in the cell", "point"),
+        "arrival": (on_maps, "of entering the cell for the first time within the interval", "sum"),
+        "visit": (cells, "of entering the cell within the run, or starting there", None),
+        "outside": (("map_time",), "of being afloat beyond the maps", "point"),
+        "ashore": (("map_time",), "of having stranded", "point"),
     }
+    half_width = "half-width of its Wilson interval at one standard deviation"
+    variables = {}
+    for name, (dims, event, method) in mapped.items():
+        told = {name: f"probability {event}", f"{name}_standard_error": f"{name}: {half_width}"}
+        for key, meaning in told.items():
+            variables[key] = _variable(dims, shares[key], meaning)
+            if method:
+                variables[key][2]["cell_methods"] = f"map_time: {method}"
     coordinates: dict[str, Any] = {}
     for name, edges in (("x", grid.x), ("y", grid.y)):
         lines = np.linspace(edges[0], edges[-1], len(edges))
@@ -207,12 +202,135 @@ def with_maps(
     return dataset.assign(variables).assign_coords(coordinates)
 
 
+def map_shares(counts: dict[str, NDArray[Any]], followed: int) -> dict[str, NDArray[np.float64]]:
+    """Give the shares of counts on maps among those followed, each with its standard error."""
+    shares = {}
+    for name, count in counts.items():
+        none = np.full(count.shape, np.nan)
+        shares[name] = count / followed if followed else none
+        error = standard_error(count, followed) if followed else none
+        shares[f"{name}_standard_error"] = error
+    return shares
+
+
+def combined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Put parts of one ensemble together: the dataset of one run of all their members.
+
+    Parameters
+    ----------
+    parts : sequence of xarray.Dataset
+        Datasets of forecasts of the same arguments but for the range of members, in any order;
+        each range begins where another ends.
+
+    Returns
+    -------
+    xarray.Dataset
+        Bit for bit that of one run of all members, but for the time in `history`.
+
+    Raises
+    ------
+    ScenarioError
+        They are not of one ensemble, or members are missing or come twice.
+    """
+    import xarray as xr
+
+    if not parts:
+        raise ScenarioError("parts: an empty list is not accepted; one forecast at least")
+    parts = sorted(parts, key=lambda part: int(part["member"][0]))
+    for part in parts:
+        _require_same(parts[0], part)
+    one, last = parts[0], parts[-1]
+    first, members = int(one["member"][0]), sum(part.sizes["member"] for part in parts)
+    # Where not all are kept, some part keeps fewer than all: it tells what is kept at all.
+    kept = {n for part in parts for n, v in part.data_vars.items() if KEPT in v.dims}
+    number = sum(part.sizes.get(KEPT, part.sizes["member"]) for part in parts) if kept else members
+    dim, coordinates = member_coordinates(first, members, number)
+    for index in coordinates:
+        found = [part[index if index in part.coords else "member"].values for part in parts]
+        if not np.array_equal(np.concatenate(found), coordinates[index][1]):
+            raise ScenarioError(f"parts: of {index}, some are missing or come twice")
+    shares = {}
+    if "presence" in one:
+        counted = [map_counts(part) for part in parts]
+        counts = {name: np.sum([c[name] for c in counted], axis=0) for name in counted[0]}
+        shares = map_shares(counts, sum(map(followed_of, parts)))
+    variables = {}
+    for name, variable in one.variables.items():
+        dims, values = variable.dims, variable.values
+        if name in ("member", KEPT):
+            continue
+        if name in kept or "member" in dims:
+            values = np.concatenate([part[name].values for part in parts])
+            dims = (dim if name in kept else "member", *dims[1:])
+        elif name in shares:
+            values = shares[name]
+        variables[name] = (dims, values, variable.attrs)
+    told = ensemble_attributes(one.attrs["scenario"], members)
+    # The configuration of a part is that of a run from member 0 on that ends with it.
+    told["configuration"] = last.attrs["configuration"]
+    whole = xr.Dataset(variables, coordinates, one.attrs | told)
+    return whole.set_coords([name for name in one.coords if name in variables])
+
+
+def _require_same(one: xr.Dataset, other: xr.Dataset) -> None:
+    """Refuse parts that differ in more than their members."""
+    of_members = {"title", "members", "history", "configuration"}
+    for name in sorted({*one.attrs, *other.attrs} - of_members):
+        values = [repr(part.attrs.get(name)) for part in (one, other)]
+        if values[0] != values[1]:
+            raise ScenarioError(
+                f"parts: {name} is {values[0]} and {values[1]}; they are not of one ensemble"
+            )
+    for name in map(str, {**one.variables, **other.variables}):
+        if name in ("member", KEPT):
+            continue
+        if not (name in one and name in other):
+            raise ScenarioError(f"parts: {name} is in some of them and not in others")
+        if name in one.coords and not one[name].equals(other[name]):
+            raise ScenarioError(f"parts: {name} differs; they are not of one ensemble")
+
+
+def followed_of(dataset: xr.Dataset) -> int:
+    """Count the members that could be followed: all but the failed ones."""
+    return int((dataset["status"].values != STATUSES.index("failed")).sum())
+
+
+def map_counts(dataset: xr.Dataset) -> dict[str, NDArray[np.int64]]:
+    """Give the numbers of members that the shares on maps are of, exactly.
+
+    A share is a quotient of whole numbers: times the divisor it is off by two roundings, which is
+    less than half a member up to 2⁵¹ of them.
+    """
+    followed = followed_of(dataset)
+    return {
+        name: np.rint(np.nan_to_num(dataset[name].values) * followed).astype(np.int64)
+        for name in _COUNTED
+    }
+
+
 def with_targets(
     dataset: xr.Dataset, names: list[str], entry_time: NDArray[np.float64]
 ) -> xr.Dataset:
     """Add the time of the first entry of each target: shape (member, target), NaN where never."""
     entered = _variable(("member", "target"), entry_time, "time of first being in the target")
     return dataset.assign(entry_time=entered).assign_coords(target=names)
+
+
+def ensemble_attributes(scenario: str, members: int) -> dict[str, Any]:
+    """Attributes that say how many members of what there are, and what followed them."""
+    return {
+        "title": f"Drift forecast: {scenario}, {members} members",
+        "members": members,
+        **provenance(f"forecast of {members} members"),
+    }
+
+
+def wind_label(dataset: xr.Dataset) -> str:
+    """Say which wind a dataset was computed with, and that it is synthetic where it is."""
+    label = str(dataset.attrs.get("wind_label", "")).strip()
+    if dataset.attrs.get("wind_synthetic", 0) and "synthetic" not in label.lower():
+        label = f"{label} (synthetic)" if label else "synthetic"
+    return label
 
 
 def provenance(command: str) -> dict[str, str]:
@@ -242,7 +360,7 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
     }
     # A coordinate has no missing values (CF 2.5.1), and so none that stands for them.
     encoding |= {name: {"_FillValue": None} for name in dataset.coords}
-    dataset = _times_as_numbers(dataset)
+    dataset = times_as_numbers(dataset)
     with replacing(path, overwrite) as temporary:
         # The HDF5 library brings the process down when the disk fills up under it.
         needed, free = dataset.nbytes + _FILE_OVERHEAD, shutil.disk_usage(temporary.parent).free
@@ -251,11 +369,12 @@ def write_netcdf(dataset: xr.Dataset, path: Path, overwrite: bool) -> None:
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
 
 
-def _times_as_numbers(dataset: xr.Dataset) -> xr.Dataset:
+def times_as_numbers(dataset: xr.Dataset, since: np.datetime64 | None = None) -> xr.Dataset:
     """Give times as whole numbers of the longest unit in which none of them is rounded.
 
     Programs read seconds more widely than nanoseconds. All times have the same unit and origin:
-    bounds must have those of what they bound (CF 7.1).
+    bounds must have those of what they bound (CF 7.1). Or as nanoseconds `since` a day, whatever
+    they are: the same for every part of an ensemble.
     """
     # What a dataset was read with would stand beside what is set here.
     dataset = dataset.drop_encoding()
@@ -264,12 +383,13 @@ def _times_as_numbers(dataset: xr.Dataset) -> xr.Dataset:
         known = [v.values[~np.isnat(v.values)] for v in times.values()]
         instants = np.concatenate([*known, np.zeros(0, dtype="datetime64[ns]")])
         first = instants.min() if len(instants) else np.datetime64(0, "ns")
-        day = first.astype("datetime64[D]")
+        day = first.astype("datetime64[D]") if since is None else since
         origin = day.astype("datetime64[ns]")
         unit, length = next(
             (unit, length)
             for unit, length in _TIME_UNITS.items()
-            if not ((instants - origin).astype(np.int64) % length).any()
+            if (since is None or length == 1)
+            and not ((instants - origin).astype(np.int64) % length).any()
         )
         attributes = {"units": f"{unit} since {day} 00:00:00", "calendar": "proleptic_gregorian"}
         for name, variable in times.items():
@@ -290,6 +410,8 @@ def read_netcdf(path: Path) -> xr.Dataset:
         The file is missing, is not NetCDF, or was not written by driftcore.
     """
     import xarray as xr
+
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
 
     try:
         if not path.exists():

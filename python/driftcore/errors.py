@@ -1,5 +1,8 @@
 """Exceptions and warnings of driftcore; their messages name the field, the value and what fits."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class DriftCoreError(Exception):
     """Root of every error that driftcore raises on purpose."""
@@ -19,6 +22,24 @@ class OutputError(DriftCoreError, OSError):
 
 class DriftCoreWarning(UserWarning):
     """Something suspicious that does not stop the work."""
+
+
+@contextmanager
+def reading(what: str, kind: str = "") -> Iterator[None]:
+    """Make one `RecordError` of whatever the libraries beneath answer to damaged data.
+
+    Raises
+    ------
+    RecordError
+        Anything but an error of driftcore was raised, which stays its cause.
+    """
+    try:
+        yield
+    except DriftCoreError:
+        raise
+    except Exception as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise RecordError(f"{what} cannot be read{kind}: {reason}") from error
 
 
 def need_geo(*modules: str) -> None:

@@ -7,9 +7,9 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from driftcore import _core
 from driftcore.dataset import (
     STATUSES,
+    combined,
+    ensemble_attributes,
     forecast_dataset,
     is_geographic,
     provenance,
@@ -28,6 +30,7 @@ from driftcore.dataset import (
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
 from driftcore.maps import MapGrid
+from driftcore.memory import require_room, require_room_for
 from driftcore.record import WindRecord
 from driftcore.scenario import (
     Circle,
@@ -39,11 +42,19 @@ from driftcore.scenario import (
     WindConfiguration,
     check_order,
 )
-from driftcore.statistics import Probability, probability
+from driftcore.statistics import (
+    Probability,
+    members_needed,
+    probability,
+    quantile_interval,
+    wilson,
+)
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
+    from dask.distributed import Client
 
     from driftcore.geographic import GeographicScenario
     from driftcore.geographic_configuration import GeographicConfiguration
@@ -51,6 +62,8 @@ if TYPE_CHECKING:
     from driftcore.hand_over import HandOver
 
 Progress = Callable[[int, int], None]
+_P = ParamSpec("_P")
+_F = TypeVar("_F", bound="Forecast")
 Floats = NDArray[np.float64]
 
 # Tides of wind drawn before the release, the same for every model so that a member has one wind:
@@ -58,8 +71,17 @@ Floats = NDArray[np.float64]
 _LEAD_IN_TIDES = 3
 # Members between two reports of progress, at least: what is shared is prepared anew for each.
 _LEAST_CHUNK = 1024
+# Members of the first look at a probability, and the growth from one look to the next at least.
+FIRST_LOOK, _LEAST_GROWTH = 1000, 1.05
+# Half-width sought where none is named.
+PRECISION = 0.01
 # Small-scale steps in a tide, paper section 4.1.
 _FINE_STEPS = 100
+# As in rust/src/python.rs: more than any machine has processors.
+_MOST_THREADS = 1024
+# Steps of the record that a tide may last, from and to: small-scale steps are worked out beforehand
+# for one step, and winds are drawn some tides before the release.
+_SHORTEST_TIDE, _LONGEST_TIDE = 1 / 40, 1e4
 
 
 def trajectory(
@@ -154,11 +176,78 @@ def trajectory(
     return trajectory_dataset(scenario, instants, found, attributes)
 
 
+def until_precise(follow: Callable[_P, _F]) -> Callable[_P, _F]:
+    """Let a forecast be asked for members = "auto": in parts until its interval is narrow enough.
+
+    The number of members is decided a few times, each time from all that is known: where the
+    interval is too wide still, as many follow as (51) tells from its centre. Looking so seldom
+    leaves the coverage of the interval as it is (docs/trust.md).
+    """
+
+    @wraps(follow)
+    def found(*args: _P.args, **kwargs: _P.kwargs) -> _F:
+        options: dict[str, Any] = dict(kwargs)
+        if options.get("members") != "auto":
+            if options.get("precision") is not None:
+                raise ScenarioError(
+                    f"precision: {options['precision']!r} is not accepted with members = "
+                    f'{options.get("members")!r}; with members = "auto" it is'
+                )
+            return follow(*args, **kwargs)
+        if options.get("first_member"):
+            raise ScenarioError('first_member: with members = "auto" only 0 is accepted')
+        precision = options["precision"] = options.get("precision") or PRECISION
+        if not (isinstance(precision, float) and 1e-4 <= precision < 0.5):
+            raise ScenarioError(
+                f"precision: {precision!r} is not accepted; a number from 0.0001 to 0.5 is"
+            )
+        progress: Progress | None = options.get("progress")
+        parts: list[xr.Dataset] = []
+        told: dict[str, warnings.WarningMessage] = {}
+        members, wanted = 0, FIRST_LOOK
+        while True:
+
+            def report(done: int, _: int, before: int = members, planned: int = wanted) -> None:
+                if progress is not None:
+                    progress(before + done, planned)
+
+            options |= {"first_member": members, "members": wanted - members, "progress": report}
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                part = follow(*args, **options)
+            told |= {str(warning.message): warning for warning in caught}
+            parts.append(part.dataset)
+            whole = type(part)(combined(parts))
+            members, wanted = (
+                wanted,
+                next_look(whole.stranding_probability(), wanted, precision),
+            )
+            if wanted == members:
+                break
+        for warning in told.values():
+            warnings.warn(str(warning.message), warning.category, stacklevel=2)
+        return whole
+
+    return found
+
+
+def next_look(found: Probability, members: int, precision: float) -> int:
+    """Give the number of members to look at next: equations.md (51); no more if precise enough."""
+    if found.half_width <= precision:
+        return members
+    # Members that fail do not count.
+    needed = members_needed((found.low + found.high) / 2, precision) * members / found.members
+    return math.ceil(max(needed, _LEAST_GROWTH * members))
+
+
+@until_precise
 def forecast(
     scenario: Scenario | GeographicScenario,
     wind: LocalGridBootstrap | HandOver | Sequence[WindPath] | WindPaths | None = None,
     *,
-    members: int | None = None,
+    members: int | Literal["auto"] | None = None,
+    precision: float | None = None,
+    first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
     seed: int = 1,
@@ -187,8 +276,15 @@ def forecast(
     wind : LocalGridBootstrap, sequence of WindPath, or WindPaths, optional
         The fitted wind; default `driftcore.paper.default_wind()`, a synthetic climate. Or the
         winds themselves, one member each. On the real sea also a `HandOver` from today's forecast.
-    members : int, optional
-        Number of members; default 1000, or as many as there are paths.
+    members : int or "auto", optional
+        Number of members; default 1000, or as many as there are paths. "auto": as many as
+        `precision` takes.
+    precision : float, optional
+        With members = "auto", the half-width of the 95 % interval of the probability of stranding
+        that is to be reached, from 0.0001 to 0.5; default 0.01.
+    first_member : int
+        Index of the first of them: parts of one ensemble are made apart, of the same arguments
+        else, and put together by `driftcore.dataset.combined`.
     model, order, window, wind_terms, rtol, atol
         As in `trajectory`; the default is the mean-flow expansion of order 1. It and `"full"` step
         on a time grid common to all members, two tides and a tenth of one at most; a member whose
@@ -198,7 +294,7 @@ def forecast(
     seed : int
         From 0 to 2⁶⁴ − 1.
     keep : int
-        How many members' trajectories are kept, from the first on.
+        How many members' trajectories are kept, from member 0 of the ensemble on.
     times : array_like of shape (n,), optional
         Times at which they are kept; default eight per tide.
     maps : MapGrid, optional
@@ -232,6 +328,7 @@ def forecast(
             scenario,
             wind,  # type: ignore[arg-type]  # refused there by its name
             members=members,
+            first_member=first_member,
             model=model,
             order=order,
             seed=seed,
@@ -253,15 +350,11 @@ def forecast(
     winds: Resampled | _Given
     if isinstance(wind, LocalGridBootstrap):
         winds = Resampled(scenario, wind, solver, seed)
-        members = 1000 if members is None else members
+        members = members_of(members, first_member)
     else:
         paths: Any = wind  # anything else is refused by its name
         winds = _Given(scenario, paths, solver)
-        if members not in (None, len(paths)):
-            raise ScenarioError(
-                f"members: {members} is not accepted; {len(paths)} paths were given"
-            )
-        members = len(paths)
+        members = members_of(members, first_member, len(paths))
     if steps_per_tide is not None and not (
         isinstance(steps_per_tide, int | float | np.number)
         and math.isfinite(steps_per_tide)
@@ -273,8 +366,10 @@ def forecast(
     if times is None:
         times = regular_times(scenario.duration, scenario.period / 8)
     instants = _output_times(times, scenario.duration)
+    # A part names the run from member 0 on that ends with it: the last part names the whole.
     settings = EnsembleConfiguration(
-        members=members,
+        members="auto" if precision else first_member + members,
+        precision=precision,
         seed=seed,
         model=model,
         order=order,
@@ -284,9 +379,8 @@ def forecast(
         keep=keep,
         outputs_per_tide=max(1, len(instants) - 1) * scenario.period / scenario.duration,
     )
-    threads = checked_count("threads", default_threads() if threads is None else threads)
+    threads = checked_threads(threads)
     chunk = checked_count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
-    keep = min(keep, members)
     compiled = _compiled(scenario)
     shapes: Any = targets or {}  # of which the configuration makes polygons
     configuration = RunConfiguration(
@@ -303,13 +397,14 @@ def forecast(
         counted = maps.core(np.union1d(regular, maps.times), threads)
     winds.warn()
 
-    fates = Fates.empty(members, keep, len(instants), len(areas))
+    kept = kept_of(first_member, members, keep)
+    fates = Fates.empty(members, kept, len(instants), len(areas))
 
     def follow(rows: slice, into: Fates) -> str | None:
         return compiled.run(
             winds.core,
             solver,
-            rows.start,
+            first_member + rows.start,
             instants,
             keep,
             into,
@@ -320,11 +415,12 @@ def forecast(
         )
 
     failure = follow_in_chunks(fates, chunk, progress, follow)
-    warn_of_failures(fates.status, failure)
+    warn_of_failures(fates.status, failure, first_member)
 
-    wind_times, kept_wind = winds.kept(keep, instants)
+    wind_times, kept_wind = winds.kept(first_member, kept, instants)
     dataset = forecast_dataset(
         scenario,
+        first_member=first_member,
         status=fates.status,
         stranding_time=fates.stranding_time,
         stranding_position=fates.stranding_position,
@@ -333,19 +429,16 @@ def forecast(
         wind_times=wind_times,
         wind=kept_wind,
         attributes={
-            "title": f"Drift forecast: {scenario.name}, {members} members",
+            **ensemble_attributes(scenario.name, members),
             "model": model,
             **({} if order is None else {"order": order}),
             "seed": np.uint64(seed),
-            "members": members,
             **winds.attributes(),
             "configuration": configuration.to_toml(),
-            **provenance(f"forecast of {members} members"),
         },
     )
     if maps is not None and counted is not None:
-        followed = members - int((fates.status == STATUSES.index("failed")).sum())
-        dataset = with_maps(dataset, maps, counted.counts(), followed)
+        dataset = with_maps(dataset, maps, counted.counts())
     if areas:
         dataset = with_targets(dataset, list(configuration.targets), fates.entry_time)
     return Forecast(dataset)
@@ -362,8 +455,8 @@ class Forecast:
         `position(member, time, component)` and `wind_velocity(member, wind_time, component)` of
         the kept members (dimension `kept_member` where not all are kept). Its attributes hold the
         configuration, version and seed, enough to run it again. With maps: `presence`, `arrival`
-        (map_time, y, x), `visit(y, x)`, `outside` and `ashore(map_time)`; with targets:
-        `entry_time(member, target)`.
+        (map_time, y, x), `visit(y, x)`, `outside` and `ashore(map_time)`, each with its
+        `..._standard_error`; with targets: `entry_time(member, target)`.
     """
 
     dataset: xr.Dataset
@@ -449,8 +542,6 @@ class Forecast:
         """
         import xarray as xr
 
-        from driftcore.statistics import wilson
-
         sectors = checked_count("sectors", sectors)
         self.stranding_probability()  # refuses where no member could be followed
         places = self._places()
@@ -471,14 +562,19 @@ class Forecast:
     def stranding_time_quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> xr.DataArray:
         """Quantiles of the stranding time among the stranded members [scenario time].
 
-        NaN where none stranded.
-        """
-        import xarray as xr
+        Parameters
+        ----------
+        levels : sequence of float
+            Of the quantiles.
 
+        Returns
+        -------
+        xarray.DataArray
+            By `quantile`, NaN where none stranded; its coordinates `low` and `high` are the 95 %
+            interval of each, NaN where too few stranded to tell.
+        """
         times = self.dataset["stranding_time"].values
-        times = times[np.isfinite(times)]
-        values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
-        return xr.DataArray(values, {"quantile": list(levels)}, name="stranding_time")
+        return time_quantiles(times[np.isfinite(times)], levels)
 
     def _places(self) -> Floats:
         """Places of stranding relative to the circle's centre, or the release."""
@@ -492,6 +588,17 @@ class Forecast:
     def configuration(self) -> str:
         """TOML text of the run; `driftcore run` reads it."""
         return str(self.dataset.attrs["configuration"])
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Give a row for each member: see `driftcore.export.members_table`."""
+        from driftcore.export import members_table
+
+        return members_table(self)
+
+    def _repr_html_(self) -> str:
+        from driftcore.html import forecast_table
+
+        return forecast_table(self)
 
     def to_netcdf(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Write the dataset as NetCDF-4: to a temporary name first, then renamed.
@@ -509,12 +616,29 @@ class Forecast:
         return f"Forecast({members} members, probability of stranding {strands})"
 
 
+def time_quantiles(times: Floats, levels: Sequence[float], units: str = "1") -> xr.DataArray:
+    """Quantiles of times by `quantile`, with their 95 % intervals `low` and `high`."""
+    import xarray as xr
+
+    low, high = quantile_interval(times, levels)
+    coordinates = {"quantile": list(levels), "low": ("quantile", low), "high": ("quantile", high)}
+    values = np.quantile(times, levels) if len(times) else np.full(len(levels), np.nan)
+    return xr.DataArray(
+        values, coordinates, "quantile", name="stranding_time", attrs={"units": units}
+    )
+
+
 def run(
     configuration: RunConfiguration | GeographicConfiguration,
     *,
     folder: Path | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    chunk: int | None = None,
+    client: Client | None = None,
 ) -> Forecast:
     """Run a whole configuration: fit the wind it names, then forecast.
 
@@ -526,8 +650,48 @@ def run(
         Where relative paths start; default the working folder.
     threads, progress
         As in `forecast`.
+    store : path, optional
+        Name of a Zarr store, ending in .zarr. Members are written to it chunk by chunk, so that
+        memory does not grow with their number, and a run that is stopped, however, loses no
+        finished chunk: it grows as `NAME.zarr.part` and gets its name when it is whole. The
+        forecast is that of a run without a store, bit for bit, read lazily.
+    resume : bool
+        Go on with what is in the store, or begin where nothing is. A chunk that was damaged is
+        followed again, which is warned of.
+    overwrite : bool
+        Replace a store that is there; begin anew where a run is unfinished, unless `resume`.
+    chunk : int, optional
+        Members in a chunk of the store; by default a hundredth of all, within bounds.
+    client : dask.distributed.Client, optional
+        Workers that follow the chunks, with all their threads; this process writes.
+
+    Raises
+    ------
+    ScenarioError, RecordError
+        As in `forecast`, and for a file that does not serve.
+    OutputError
+        The store cannot be written, is in use, or is of another run: what differs is told.
     """
-    return planned(configuration, folder)(threads=threads, progress=progress)
+    if store is None:
+        given = {"resume": resume, "overwrite": overwrite, "chunk": chunk, "client": client}
+        for name, value in given.items():
+            if value:
+                raise ScenarioError(f"{name}: {value!r} is not accepted without a store")
+        return planned(configuration, folder)(threads=threads, progress=progress)
+    from driftcore.store import run_stored
+
+    dataset = run_stored(
+        configuration,
+        Path(store),
+        folder=folder,
+        resume=resume,
+        overwrite=overwrite,
+        chunk=chunk,
+        threads=threads,
+        progress=progress,
+        client=client,
+    )
+    return forecast_of(dataset)
 
 
 def planned(
@@ -551,6 +715,7 @@ def planned(
             sea,
             fitted_wind(whole.wind),
             members=members.members,
+            precision=members.precision,
             model=members.model,
             order=members.order,
             seed=members.seed,
@@ -582,6 +747,7 @@ def planned(
         scenario,
         fitted_wind(configuration.wind, folder),
         members=settings.members,
+        precision=settings.precision,
         model=settings.model,
         order=settings.order,
         seed=settings.seed,
@@ -616,7 +782,7 @@ def fitted_wind(wind: WindConfiguration, folder: Path | None = None) -> LocalGri
 
 
 def open_forecast(path: str | os.PathLike[str]) -> Forecast:
-    """Read a forecast written by `Forecast.to_netcdf`.
+    """Read a forecast written by `Forecast.to_netcdf`, or open a store lazily: a folder, .zarr.
 
     Returns
     -------
@@ -626,9 +792,17 @@ def open_forecast(path: str | os.PathLike[str]) -> Forecast:
     Raises
     ------
     OutputError
-        The file is missing or is not a driftcore forecast.
+        The file is missing or is not a driftcore forecast, or the store is unfinished.
     """
-    dataset = read_netcdf(Path(path))
+    if Path(path).suffix == ".zarr":
+        from driftcore.store import open_store
+
+        return forecast_of(open_store(Path(path)))
+    return forecast_of(read_netcdf(Path(path)))
+
+
+def forecast_of(dataset: xr.Dataset) -> Forecast:
+    """Give the forecast that a dataset is, a `GeographicForecast` where it is one."""
     if is_geographic(dataset):
         from driftcore.geographic_forecast import GeographicForecast
 
@@ -774,6 +948,7 @@ def substeps_of(step: float, period: float) -> int:
 
 def regular_times(duration: float, interval: float) -> Floats:
     """Regular times from 0 to the end of a run, both included, about `interval` apart."""
+    require_room("times", duration / interval, 3 * 8, f"times {interval:g} apart")
     return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
 
 
@@ -864,7 +1039,12 @@ class Fates(NamedTuple):
 
     @classmethod
     def empty(cls, members: int, keep: int, outputs: int, targets: int) -> Fates:
-        """Of members not followed yet."""
+        """Of members not followed yet; what does not fit into memory is refused.
+
+        Twice over, for a dataset is made of them.
+        """
+        require_room("members", members, 2 * (25 + 8 * targets), "members")
+        require_room("keep", float(keep) * outputs, 2 * 16, "positions of members kept")
         return cls(
             np.zeros(members, dtype=np.int8),
             np.full(members, np.nan),
@@ -899,6 +1079,13 @@ class Resampled:
         """`hand_over` gives what the members begin with, so many steps before time 0."""
         self.scenario, self.wind, self.seed = scenario, wind, seed
         step = wind.record.step_h / scenario.hours_per_unit
+        tide_h = scenario.period * scenario.hours_per_unit
+        shortest, longest = (wind.record.step_h * k for k in (_SHORTEST_TIDE, _LONGEST_TIDE))
+        if not (step > 0 and shortest <= tide_h <= longest):
+            raise ScenarioError(
+                f"tide_period_h: {tide_h:g} is not accepted; with a wind every "
+                f"{wind.record.step_h:g} h it should be from {shortest:g} to {longest:g}"
+            )
         substeps = substeps_of(step, scenario.period)
         lead_in = math.ceil(_LEAD_IN_TIDES * scenario.period / step - 1e-9)
         start, self.end = solver.wind_needed(scenario.duration, scenario.period)
@@ -908,17 +1095,21 @@ class Resampled:
                 f"this window needs it {-start / scenario.period:.3g} tides before; "
                 f"windows up to {4 * scenario.period:g} (4 tides) are accepted"
             )
-        self.generator = _core.WindGenerator(
-            wind.core,
-            step,
-            scenario.wind_unit,
-            wind.small_scale_sd / scenario.wind_unit,
-            wind.memory_h / scenario.hours_per_unit,
-            substeps,
-            lead_in,
-            None if phase is None else wind.phase_before(phase, lead_in),
-            None if hand_over is None else hand_over(lead_in),
-        )
+        handed = None if hand_over is None else hand_over(lead_in)
+        try:
+            self.generator = _core.WindGenerator(
+                wind.core,
+                step,
+                scenario.wind_unit,
+                wind.small_scale_sd / scenario.wind_unit,
+                wind.memory_h / scenario.hours_per_unit,
+                substeps,
+                lead_in,
+                None if phase is None else wind.phase_before(phase, lead_in),
+                handed,
+            )
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
         self.lead_in = lead_in
         self.times = np.arange(math.ceil(self.end / step - 1e-9) + 1) * np.float64(step)
 
@@ -927,10 +1118,12 @@ class Resampled:
         """What the compiled core draws from."""
         return self.generator, self.seed
 
-    def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
-        """Give the synoptic wind [m/s] of the first `keep` members from the release on."""
+    def kept(self, first: int, count: int, instants: Floats) -> tuple[Floats, Floats]:
+        """Give the synoptic wind [m/s] of `count` members from the release on."""
         del instants
-        wind, _ = self.wind.core.sample(keep, self.lead_in + len(self.times), self.seed)
+        steps = self.lead_in + len(self.times)
+        require_room("keep", count * float(steps), 3 * 24, "winds kept")
+        wind, _ = self.wind.core.sample(count, steps, self.seed, first)
         return self.times, wind[:, self.lead_in :]
 
     def configuration(self) -> WindConfiguration:
@@ -998,13 +1191,14 @@ class _Given:
             return self.paths.core
         return [path.core for path in self.paths]
 
-    def kept(self, keep: int, instants: Floats) -> tuple[Floats, Floats]:
-        """Give the wind [m/s] of the first `keep` members at the output times."""
+    def kept(self, first: int, count: int, instants: Floats) -> tuple[Floats, Floats]:
+        """Give the wind [m/s] of `count` members at the output times."""
         if isinstance(self.paths, WindPaths):
-            wind = self.paths.core.velocity(keep, instants)
+            wind = self.paths.core.velocity(first + count if count else 0, instants)[first:]
         else:
-            wind = np.array([path.core.velocity(instants) for path in self.paths[:keep]])
-        return instants, wind.reshape(keep, len(instants), 2) * self.scenario.wind_unit
+            chosen = self.paths[first : first + count]
+            wind = np.array([path.core.velocity(instants) for path in chosen])
+        return instants, wind.reshape(count, len(instants), 2) * self.scenario.wind_unit
 
     def configuration(self) -> WindConfiguration:
         return WindConfiguration(record=self.attributes()["wind_label"])
@@ -1017,6 +1211,7 @@ class _Given:
 
 
 def _output_times(times: ArrayLike, duration: float) -> Floats:
+    require_room_for("times", times)
     try:
         instants = np.atleast_1d(np.asarray(times, dtype=float))
     except (TypeError, ValueError):
@@ -1033,11 +1228,38 @@ def _output_times(times: ArrayLike, duration: float) -> Floats:
     return np.ascontiguousarray(instants)
 
 
-def checked_count(field: str, value: int, least: int = 1) -> int:
+def checked_count(field: str, value: Any, least: int = 1) -> int:
     """Refuse what is not a whole number from `least` up."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ScenarioError(f"{field}: {value!r} is not accepted; a whole number from {least} up")
     return int(value)
+
+
+def members_of(members: int | str | None, first_member: int, paths: int | None = None) -> int:
+    """Check a range of members, of as many as there are paths where the wind is given by them."""
+    first = checked_count("first_member", first_member, least=0)
+    if paths is None:
+        return 1000 if members is None else checked_count("members", members)
+    if first >= paths:
+        raise ScenarioError(f"first_member: {first} is not accepted; {paths} paths were given")
+    members = paths - first if members is None else checked_count("members", members)
+    if first + members > paths:
+        after = f"; {first} come before" if first else ""
+        raise ScenarioError(f"members: {members} is not accepted; {paths} paths were given{after}")
+    return members
+
+
+def kept_of(first_member: int, members: int, keep: int) -> int:
+    """Give the number of members in a range whose index is below `keep`."""
+    return min(max(keep - first_member, 0), members)
+
+
+def checked_threads(threads: int | None) -> int:
+    """Give the number of threads, all processors if it is left open."""
+    number = default_threads() if threads is None else checked_count("threads", threads)
+    if number > _MOST_THREADS:
+        raise ScenarioError(f"threads: {number} is not accepted; at most {_MOST_THREADS}")
+    return number
 
 
 def default_threads() -> int:
@@ -1045,12 +1267,13 @@ def default_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def warn_of_failures(status: NDArray[np.int8], first: str | None) -> None:
+def warn_of_failures(status: NDArray[np.int8], first: str | None, first_member: int = 0) -> None:
     """Warn of members that could not be followed, with the first failure."""
     failed = np.flatnonzero(status == STATUSES.index("failed"))
     if len(failed):
         warnings.warn(
-            f"{len(failed)} of {len(status)} members failed; member {failed[0]}: {first}",
+            f"{len(failed)} of {len(status)} members failed; member "
+            f"{first_member + failed[0]}: {first}",
             DriftCoreWarning,
             stacklevel=3,
         )

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from driftcore.tides import TidalAtlas
 
 KIND = "geographic"
+# In a row of a map: of a metre around the earth.
+_MOST_CELLS = 4e7
 _NATURAL_EARTH = "natural-earth"
 # Bodies afloat follow a few percent of the wind; 1 is the paper's.
 _LARGEST_WIND_FACTOR = 0.1
@@ -215,6 +217,11 @@ class MapConfiguration(Configuration):
         west, south, east, north = self.region
         for name, length in (("west to east", east - west), ("south to north", north - south)):
             count = length / self.cell
+            if count > _MOST_CELLS:
+                raise ValueError(
+                    f"cell: {self.cell:g} is not accepted; {length:g} degrees would hold "
+                    f"{count:.3g} cells, at most {_MOST_CELLS:.0e}"
+                )
             if not (round(count) >= 1 and abs(count - round(count)) < 1e-6 * count):
                 raise ValueError(
                     f"region: {length:g} degrees from {name} are not accepted; it should be a "
@@ -327,7 +334,7 @@ class GeographicConfiguration(Configuration):
     @model_validator(mode="after")
     def _fits_memory(self) -> Self:
         ensemble = self.ensemble
-        kept = min(ensemble.keep, ensemble.members) * self.days * 24 / ensemble.outputs_h
+        kept = max(1, ensemble.most_kept) * self.days * 24 / ensemble.outputs_h
         if kept > MOST_POSITIONS:
             raise ValueError(
                 f"ensemble.keep: {ensemble.keep} is not accepted; with outputs_h = "
@@ -515,15 +522,18 @@ def _told(table: str) -> Iterator[None]:
 def _existing(where: str, start: Path, name: str) -> list[str]:
     """Files of a path or pattern, absolute."""
     path = start / name
-    found = [str(path)] if path.exists() else sorted(glob(str(path)))  # noqa: PTH207 (absolute)
+    try:
+        found = [str(path)] if path.exists() else sorted(glob(str(path)))  # noqa: PTH207 (absolute)
+    except (OSError, ValueError) as error:  # too long, or with a zero byte
+        raise ScenarioError(f"{where}: {name!r} is not accepted; {error}") from None
     if not found or path.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no such file in {path.parent}"
         raise ScenarioError(f"{where}: {name!r} is not accepted; {what}")
     return found
 
 
-def read_configuration(path: Path) -> GeographicConfiguration | RunConfiguration:
-    """Read a scenario file: `kind = "geographic"` makes it one of the real sea.
+def read_configuration(path: str | Path) -> GeographicConfiguration | RunConfiguration:
+    """Read a scenario file, or its text: `kind = "geographic"` makes it one of the real sea.
 
     Raises
     ------

@@ -6,28 +6,41 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
 from driftcore.configuration import read_toml
-from driftcore.dataset import STATUS_ATTRIBUTES, STATUSES, provenance, with_maps, with_targets
+from driftcore.dataset import (
+    STATUS_ATTRIBUTES,
+    STATUSES,
+    ensemble_attributes,
+    member_coordinates,
+    provenance,
+    with_maps,
+    with_targets,
+)
 from driftcore.errors import DriftCoreError, ScenarioError
 from driftcore.forecast import (
     Fates,
     Forecast,
     checked_count,
-    default_threads,
+    checked_threads,
     follow_in_chunks,
+    kept_of,
+    members_of,
     solver_of,
+    time_quantiles,
+    until_precise,
     warn_of_failures,
 )
 from driftcore.geographic import GeographicScenario
 from driftcore.geographic_winds import core_path, winds_of
 from driftcore.grids import VectorGrid
 from driftcore.maps import MapGrid
+from driftcore.memory import require_room_for
 from driftcore.scenario import ModelName, Polygons
 from driftcore.statistics import Probability, probability, wilson
 from driftcore.wind import WindPath
@@ -101,11 +114,14 @@ def geographic_trajectory(
     return xr.Dataset(variables, {"time": ("time", scenario.instants(instants))}, attributes)
 
 
+@until_precise
 def geographic_forecast(
     scenario: GeographicScenario,
     wind: GeographicWind,
     *,
-    members: int | None = None,
+    members: int | Literal["auto"] | None = None,
+    precision: float | None = None,
+    first_member: int = 0,
     model: ModelName = "mean-flow",
     order: int | None = None,
     seed: int = 1,
@@ -127,20 +143,16 @@ def geographic_forecast(
     [longitude, latitude] points, or `Polygons`. `configuration` is the TOML text, if any, that the
     arguments come from: it is stored, so that `driftcore run` repeats it.
     """
+    del precision  # sought by what calls this
     _require_geographic(scenario)
     order, solver = _solver(scenario, model, order, rtol, atol)
     if model == "mean-flow":
         scenario.warn()
     seed = checked_count("seed", seed, least=0)
     winds = winds_of(scenario, wind, solver, seed)
-    if winds.members is None:
-        members = 1000 if members is None else checked_count("members", members)
-    elif members not in (None, winds.members):
-        raise ScenarioError(f"members: {members} is not accepted; {winds.members} paths were given")
-    else:
-        members = winds.members
-    keep = min(checked_count("keep", keep, least=0), members)
-    threads = checked_count("threads", default_threads() if threads is None else threads)
+    members = members_of(members, first_member, winds.members)
+    keep = checked_count("keep", keep, least=0)
+    threads = checked_threads(threads)
     chunk = checked_count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
     if times is None:
         steps = math.ceil(scenario.days * 24 / _OUTPUTS_H - 1e-9)
@@ -152,12 +164,13 @@ def geographic_forecast(
     areas = [_area(scenario, name, ring) for name, ring in (targets or {}).items()]
     counted, grid = _maps(scenario, maps, threads)
 
-    fates = Fates.empty(members, keep, len(instants), len(areas))
+    kept = kept_of(first_member, members, keep)
+    fates = Fates.empty(members, kept, len(instants), len(areas))
     release = np.full((members, 2), np.nan)
     release_time = np.full(members, np.nan)
 
     def follow(rows: slice, into: Fates) -> str | None:
-        first, number = rows.start, rows.stop - rows.start
+        first, number = first_member + rows.start, rows.stop - rows.start
         fleet, release[rows], release_time[rows] = scenario.core_fleet(
             sea, coast, first, number, seed
         )
@@ -165,23 +178,20 @@ def geographic_forecast(
         return fleet.run(chosen, solver, first, instants, keep, into, threads, areas, counted)
 
     failure = follow_in_chunks(fates, chunk, progress, follow)
-    warn_of_failures(fates.status, failure)
-    dataset = _dataset(scenario, fates, instants, release, release_time)
+    warn_of_failures(fates.status, failure, first_member)
+    dataset = _dataset(scenario, first_member, fates, instants, release, release_time)
     dataset.attrs |= {
-        "title": f"Drift forecast: {scenario.name}, {members} members",
+        **ensemble_attributes(scenario.name, members),
         "model": model,
         **({} if order is None else {"order": order}),
         "rtol": rtol,
         "seed": np.uint64(seed),
-        "members": members,
         **winds.attributes(),
         **scenario.describe(),
         "configuration": configuration,
-        **provenance(f"forecast of {members} members"),
     }
     if counted is not None and grid is not None and maps is not None:
-        followed = members - int((fates.status == STATUSES.index("failed")).sum())
-        dataset = with_maps(dataset, grid, counted.counts(), followed)
+        dataset = with_maps(dataset, grid, counted.counts())
         dataset = _geographic_maps(scenario, dataset, maps)
     if targets:
         entries = scenario.instants(fates.entry_time)
@@ -267,8 +277,9 @@ class GeographicForecast(Forecast):
         -------
         xarray.Dataset
             By `stretch`: `probability`, `low`, `high` (95 % Wilson) and `time_quantile`
-            (quantile, stretch) of the stranding time since the earliest release [d]. What strands
-            outside all stretches is called "elsewhere".
+            (quantile, stretch) of the stranding time since the earliest release [d], with
+            `time_low` and `time_high` as in `stranding_time_quantiles`. What strands outside all
+            stretches is called "elsewhere".
         """
         import xarray as xr
 
@@ -285,28 +296,26 @@ class GeographicForecast(Forecast):
         counts = np.bincount(stretch, minlength=len(names))
         low, high = wilson(counts, self.followed)
         levels = [0.05, 0.5, 0.95]
-        quantiles = np.full((len(levels), len(names)), np.nan)
-        for k in np.flatnonzero(counts):
-            quantiles[:, k] = np.quantile(days[stretch == k], levels)
+        when = xr.concat(
+            [time_quantiles(days[stretch == k], levels, "days") for k in range(len(names))],
+            "stretch",
+            coords=["low", "high"],
+        ).transpose("quantile", "stretch")
         return xr.Dataset(
             {
                 "probability": ("stretch", counts / self.followed),
                 "low": ("stretch", low),
                 "high": ("stretch", high),
-                "time_quantile": (("quantile", "stretch"), quantiles, {"units": "days"}),
+                "time_quantile": when.variable,
+                "time_low": when["low"].variable,
+                "time_high": when["high"].variable,
             },
             {"stretch": names, "quantile": levels},
         )
 
     def stranding_time_quantiles(self, levels: Sequence[float] = (0.05, 0.5, 0.95)) -> xr.DataArray:
-        """Quantiles of the time from the earliest release to the stranding [d]; NaN where none."""
-        import xarray as xr
-
-        days = self._stranding_days
-        values = np.quantile(days, levels) if len(days) else np.full(len(levels), np.nan)
-        return xr.DataArray(
-            values, {"quantile": list(levels)}, name="stranding_time", attrs={"units": "days"}
-        )
+        """Quantiles of the time from the earliest release to the stranding [d]: see `Forecast`."""
+        return time_quantiles(self._stranding_days, levels, "days")
 
     def _places(self) -> Floats:
         """Places of stranding relative to the middle of the releases, in local degrees of arc."""
@@ -357,6 +366,7 @@ def _utc(name: str, times: Any) -> Times:
     """Give times as UTC without a zone, shape (n,); what names no zone is UTC."""
     import pandas as pd
 
+    require_room_for(name, times)
     values = np.atleast_1d(times)
     try:
         if values.ndim != 1 or not len(values) or values.dtype.kind not in "MOU":
@@ -457,6 +467,7 @@ def _geographic_maps(
 
 def _dataset(
     scenario: GeographicScenario,
+    first_member: int,
     fates: Fates,
     instants: Floats,
     release: Floats,
@@ -464,11 +475,12 @@ def _dataset(
 ) -> xr.Dataset:
     import xarray as xr
 
-    members, kept = len(fates.status), len(fates.position)
-    dim = "member" if kept == members else "kept_member"
+    import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
+
     longitude, latitude = _degrees(scenario, fates.position)
     stranded = _degrees(scenario, fates.stranding_position)
     released = _degrees(scenario, release)
+    dim, coordinates = member_coordinates(first_member, len(fates.status), len(fates.position))
     variables: dict[str, Any] = {
         "status": ("member", fates.status, STATUS_ATTRIBUTES),
         "stranding_time": (
@@ -484,13 +496,8 @@ def _dataset(
         "longitude": ((dim, "time"), longitude, _LONGITUDE),
         "latitude": ((dim, "time"), latitude, _LATITUDE),
     }
-    member_attributes = {"cf_role": "trajectory_id", "long_name": "member of the ensemble"}
-    coordinates: dict[str, Any] = {
-        "member": ("member", np.arange(members), member_attributes),
-        "time": ("time", scenario.instants(instants), {"standard_name": "time", "axis": "T"}),
-    }
-    if dim != "member":
-        coordinates[dim] = (dim, np.arange(kept), {"long_name": "member whose path was kept"})
+    about = {"standard_name": "time", "axis": "T"}
+    coordinates["time"] = ("time", scenario.instants(instants), about)
     attributes = {
         "Conventions": "CF-1.11",
         "featureType": "trajectory",

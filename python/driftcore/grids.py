@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from driftcore.errors import RecordError
+from driftcore.errors import RecordError, reading
+from driftcore.netcdf import open_netcdf
 from driftcore.record import Float, Integer, Times, listed
 
 if TYPE_CHECKING:
@@ -232,8 +233,9 @@ def read_vector_grid(
     opened, paths = _sources(source)
     parts: list[VectorGrid] = []
     for item in opened:
-        with _open(item) as dataset:
-            reader = _Reader(dataset, kind, str(item) if isinstance(item, Path) else "dataset")
+        name = str(item) if isinstance(item, Path) else "dataset"
+        with reading(f"source: {name!r}"), _open(item) as dataset:
+            reader = _Reader(dataset, kind, name)
             part = reader.read(names, units, box, window, depth)
         if part is not None:
             parts.append(part)
@@ -292,7 +294,8 @@ def _sources(source: GridSource) -> tuple[list[Path | xr.Dataset], list[str]]:
         return [source], []  # type: ignore[list-item]
     if isinstance(source, str | PathLike):
         pattern = fspath(source)  # may be absolute, which Path.glob does not take
-        found = [pattern] if Path(pattern).exists() else sorted(glob(pattern))  # noqa: PTH207
+        with reading(f"source: {pattern!r}"):
+            found = [pattern] if Path(pattern).exists() else sorted(glob(pattern))  # noqa: PTH207
         if not found:
             raise RecordError(f"source: there is no file {pattern!r}; give NetCDF files")
     elif isinstance(source, Iterable):
@@ -311,40 +314,9 @@ def _open(item: Path | xr.Dataset) -> AbstractContextManager[xr.Dataset]:
     """Open lazily: packed values are decoded, times are not, as their units are judged first."""
     import xarray as xr
 
-    if not isinstance(item, Path):
-        return nullcontext(xr.decode_cf(item, decode_times=False))
-    if not item.is_file():
-        kind = "a folder" if item.is_dir() else "no file"
-        raise RecordError(
-            f"source: {fspath(item)!r} is {kind}; give NetCDF files, or open the data with xarray "
-            "and give the dataset"
-        )
-    with item.open("rb") as file:
-        magic = file.read(8)
-    if magic[:4] == b"GRIB":
-        raise RecordError(
-            f"source: {fspath(item)!r} is a GRIB file; convert it first: cdo -f nc4 copy in.grib "
-            "out.nc"
-        )
-    if magic[:4] == b"CDF\x05":
-        raise RecordError(
-            f"source: {fspath(item)!r} is a NetCDF file of type CDF-5; convert it first: "
-            "nccopy -k nc4 in.nc out.nc"
-        )
-    engine: Literal["scipy", "h5netcdf"] = "scipy" if magic[:3] == b"CDF" else "h5netcdf"
-    if engine == "scipy":
-        try:
-            import scipy.io  # noqa: F401
-        except ImportError:
-            raise RecordError(
-                f"source: {fspath(item)!r} is a NetCDF-3 file, which needs scipy: "
-                'pip install "driftcore[geo]"; or convert it: nccopy -k nc4 in.nc out.nc'
-            ) from None
-    try:
-        return xr.open_dataset(item, engine=engine, decode_times=False)
-    except (OSError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise RecordError(f"source: {fspath(item)!r} cannot be read: {reason}") from error
+    if isinstance(item, Path):
+        return open_netcdf(item, decode_times=False)
+    return nullcontext(xr.decode_cf(item, decode_times=False))
 
 
 def _joined(parts: list[VectorGrid]) -> VectorGrid:
@@ -851,6 +823,11 @@ def _longitudes(values: Float, box: Region | None) -> tuple[Integer, Float]:
 def _latitudes(values: Float, box: Region | None) -> tuple[Integer, Float]:
     """Rows to take, in order, and their latitude [degrees]."""
     _require_values("latitude", values)
+    if np.abs(values).max() > 90 + 1e-6:
+        raise RecordError(
+            f"latitude: {values.min():g} to {values.max():g} is not accepted; it should be from "
+            "-90 to 90 degrees"
+        )
     order = np.argsort(values)
     axis = values[order]
     step = float(np.median(np.diff(axis)))
@@ -879,6 +856,8 @@ def _require_left(field: str, box: Region, name: str, values: Float, axis: Float
 
 def _regular(name: str, axis: Float) -> Float:
     """Equally spaced axis that the values stand for, up to their rounding."""
+    if len(axis) < 2:
+        raise RecordError(f"{name}: all values are one meridian; at least 2 are needed")
     regular = np.linspace(axis[0], axis[-1], len(axis))
     step = regular[1] - regular[0]
     if step <= 0 or np.abs(axis - regular).max() > _AXIS_TOLERANCE * step:

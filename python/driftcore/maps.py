@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from driftcore.configuration import Configuration
+from driftcore.memory import require_room
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -75,8 +76,8 @@ class MapGrid(Configuration):
         if values > _MOST_VALUES:
             times, rows, columns = self.shape
             raise ValueError(
-                f"{times} maps of {rows} x {columns} cells are not accepted; at most "
-                f"{_MOST_VALUES:.0e} values"
+                f"{times} maps of {rows} x {columns} cells are not accepted; they hold "
+                f"{values:.3g} values, {values * 8 / 1e9:.3g} GB, at most {_MOST_VALUES:.0e}"
             )
         return self
 
@@ -108,6 +109,11 @@ class MapGrid(Configuration):
         """Build the compiled maps, nothing counted yet; the map times are among the samples."""
         from driftcore import _core
 
+        maps, rows, columns = self.shape
+        cells = float(rows * columns)
+        # Each thread counts presence and arrival, and where a member has been.
+        require_room("threads", float(threads), cells * (4 * (2 * maps + 1) + 1), "threads' maps")
+        require_room("maps", cells * (4 * maps + 2), 3 * 8, "cells of maps")
         x, y = (
             (edges[0], (edges[-1] - edges[0]) / (len(edges) - 1), len(edges) - 1)
             for edges in (self.x, self.y)

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from driftcore.errors import DriftCoreWarning, RecordError
+from driftcore.errors import DriftCoreWarning, RecordError, reading
+from driftcore.netcdf import open_netcdf
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,6 +41,8 @@ _MONTH_DAYS = (31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31)
 _MEAN_SPEED_LIMIT = 12.5
 _RARE_SPEED_LIMIT = 32.7
 _ANY_SPEED_LIMIT = 100.0
+# Fewer rows are no climate: a gale fills a forecast of days.
+_LEAST_JUDGED = 400
 
 _SEASON_MONTHS = 4
 
@@ -375,27 +378,22 @@ def _as_table(source: Source) -> tuple[str | None, pd.DataFrame, Mapping[str, st
 
 def read_file(path: str) -> pd.DataFrame | xr.Dataset:
     """Open a CSV or NetCDF file; `RecordError` if that fails."""
-    if not Path(path).is_file():
-        raise RecordError(f"source: there is no file {path!r}; give a CSV or NetCDF file")
-    try:
+    with reading(f"source: {path!r}"):
+        if not Path(path).is_file():
+            raise RecordError(f"source: there is no file {path!r}; give a CSV or NetCDF file")
         if Path(path).suffix in (".nc", ".nc4"):
-            import xarray as xr
-
-            with xr.open_dataset(path) as dataset:
+            with open_netcdf(Path(path)) as dataset:
                 return dataset.load()
         import pandas as pd
 
         return pd.read_csv(path)
-    except (OSError, ValueError) as error:  # their own kinds of error are ValueErrors
-        reason = str(error).splitlines()[0]
-        raise RecordError(f"source: {path!r} cannot be read: {reason}") from error
 
 
 def _flatten(dataset: xr.Dataset) -> tuple[pd.DataFrame, Mapping[str, str]]:
     """Table and stated units of the components of a dataset that has no dimension but time."""
     dataset = dataset[list(_component_names(dataset.data_vars))].reset_coords(drop=True)
     others = {str(name): size for name, size in dataset.sizes.items() if name not in _TIME_NAMES}
-    if max(others.values(), default=1) > 1:
+    if set(others.values()) - {1}:
         raise RecordError(
             f"dimensions: the dataset also has {others}; select one point, e.g. "
             "dataset.sel(latitude=47.4, longitude=-3.1, method='nearest')"
@@ -447,7 +445,7 @@ def _utc_times(table: pd.DataFrame) -> Times:
 def _numbers(table: pd.DataFrame, name: str) -> Float:
     try:
         return np.asarray(table[name], dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise RecordError(f"{name}: {error}; accepted are numbers in m/s") from error
 
 
@@ -502,7 +500,7 @@ def _warn_of_units(velocity: Float, units: Mapping[str, str]) -> None:
     ]
     if speed.max(initial=0.0) > _ANY_SPEED_LIMIT:
         doubts.append(f"a speed of {speed.max():g} looks like a missing value")
-    elif speed.size:
+    elif speed.size >= _LEAST_JUDGED:
         mean, rare = speed.mean(), np.quantile(speed, 0.999)
         if mean > _MEAN_SPEED_LIMIT or rare > _RARE_SPEED_LIMIT:
             doubts.append(

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from driftcore.coast import near_longitude, place_name
 from driftcore.configuration import read_toml
 from driftcore.dataset import STATUSES, is_geographic
+from driftcore.earth import KM_PER_DEGREE
 from driftcore.errors import DriftCoreError
 from driftcore.files import check_writable, replacing
 from driftcore.geographic import Scaling
-from driftcore.plot_map import _KM_PER_DEGREE, _surroundings
+from driftcore.map_drawing import surroundings
 from driftcore.statistics import Probability, probability
 from driftcore.words import how, set_up
 
@@ -651,7 +652,7 @@ def _map(case: _Case) -> tuple[Any, dict[str, Any]]:
     visible = [case.ends, case.paths.reshape(-1, 2), np.array([case.release]), *_coast_lines(case)]
     if cells is not None:
         visible += [cells.middles(index) for index, _ in cells.stops]
-    box = _surroundings(visible)
+    box = surroundings(visible)
     west, east, south, north = box
     limits = _around(box, case.geographic)
     names = ("longitude [° east]", "latitude [° north]")
@@ -708,7 +709,7 @@ def _scene(case: _Case, cells: _Cells | None, box: _Box) -> dict[str, Any]:
     places, counts = _stranding_places(case, [day for day, *_ in stops])
     scene: dict[str, Any] = {
         "geographic": case.geographic,
-        "km": _KM_PER_DEGREE,
+        "km": KM_PER_DEGREE,
         "aspect": _shrink(box) if case.geographic else 1.0,
         "stops": [{"label": label, "words": words} for _, label, words in stops],
         "visits": cells is not None and cells.visits,
@@ -792,7 +793,7 @@ def _cell_words(case: _Case, cells: _Cells) -> str:
     if not case.geographic:
         return "of 100 cases, in a cell"
     middle = math.radians(cells.corner[1] + cells.size[1] / 2)
-    width, height = (_KM_PER_DEGREE * size for size in cells.size)
+    width, height = (KM_PER_DEGREE * size for size in cells.size)
     across = _number(width * math.cos(middle))
     return f"of 100 cases, in a cell of {across} × {_number(height)} km"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Integral
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
@@ -18,6 +19,9 @@ Side = Literal["inside", "outside"]
 # A century, of semidiurnal tides or of days.
 _LONGEST_TIDES = 70_000
 _LONGEST_DAYS = 36_525
+_MOST_MEMBERS = 10**8
+# The models step explicitly: their steps are no longer than some times of a body's response.
+_STIFFEST = 1e6
 # 16 GB of them.
 MOST_POSITIONS = 10**9
 
@@ -112,6 +116,12 @@ class Scenario(Configuration):
     @model_validator(mode="after")
     def _run_is_finite(self) -> Scenario:
         """Refuse what no computer follows: most likely a unit or a power of ten is wrong."""
+        if self.drag * self.duration > _STIFFEST:
+            raise ValueError(
+                f"drag: {self.drag} is not accepted; with duration = {self.duration} a body would "
+                f"answer the wind within {1 / (self.drag * self.duration):.3g} of the run; at most "
+                f"{_STIFFEST:g} over the duration"
+            )
         tides = self.duration / self.epsilon
         if tides > _LONGEST_TIDES or self.duration_days > _LONGEST_DAYS:
             raise ValueError(
@@ -120,6 +130,11 @@ class Scenario(Configuration):
                 f"{self.duration_days:.3g} days; at most {_LONGEST_TIDES} and {_LONGEST_DAYS}"
             )
         return self
+
+    def _repr_html_(self) -> str:
+        from driftcore.html import scenario_table
+
+        return scenario_table(self)
 
     @property
     def period(self) -> float:
@@ -169,8 +184,14 @@ class WindConfiguration(Configuration):
 class MembersConfiguration(Configuration):
     """What every ensemble is told."""
 
-    members: Annotated[int, Field(ge=1, le=10**8)] = Field(
-        default=1000, description="number of winds drawn"
+    members: int | Literal["auto"] = Field(
+        default=1000, description='number of winds drawn; "auto": as many as precision takes'
+    )
+    # So that never more members are needed than may be asked for.
+    precision: Annotated[float, Field(ge=1e-4, lt=0.5)] | None = Field(
+        default=None,
+        description="half-width of the 95 % interval of the probability of stranding, "
+        'members = "auto" only; 0.01 if absent',
     )
     seed: Annotated[int, Field(ge=0, lt=2**64)] = Field(
         default=1, description="names the winds drawn"
@@ -186,10 +207,35 @@ class MembersConfiguration(Configuration):
         default=1000, description="members whose trajectories are kept, from the first on"
     )
 
+    @field_validator("members", mode="plain")
+    @classmethod
+    def _number_or_auto(cls, value: Any) -> int | str:
+        whole = isinstance(value, Integral) and not isinstance(value, bool)
+        if value != "auto" and not (whole and 1 <= value <= _MOST_MEMBERS):
+            raise ValueError(
+                f"{value!r} is not accepted; it should be a whole number from 1 to "
+                f'{_MOST_MEMBERS}, or "auto"'
+            )
+        return "auto" if value == "auto" else int(value)
+
     @model_validator(mode="after")
     def _order_exists(self) -> Self:
         check_order(self.model, self.order)
         return self
+
+    @model_validator(mode="after")
+    def _precision_is_sought(self) -> Self:
+        if self.precision is not None and self.members != "auto":
+            raise ValueError(
+                f"precision: {self.precision} is not accepted with members = {self.members}; "
+                'with members = "auto" it is'
+            )
+        return self
+
+    @property
+    def most_kept(self) -> int:
+        """How many members' trajectories are kept at most."""
+        return self.keep if self.members == "auto" else min(self.keep, self.members)
 
 
 class EnsembleConfiguration(MembersConfiguration):
@@ -232,7 +278,8 @@ class RunConfiguration(Configuration):
     def _fits_memory(self) -> RunConfiguration:
         ensemble = self.ensemble
         tides = self.scenario.duration / self.scenario.epsilon
-        kept = min(ensemble.keep, ensemble.members) * ensemble.outputs_per_tide * tides
+        # The times themselves are there even if nobody is kept.
+        kept = max(1, ensemble.most_kept) * ensemble.outputs_per_tide * tides
         if kept > MOST_POSITIONS:
             raise ValueError(
                 f"ensemble.keep: {ensemble.keep} is not accepted; with outputs_per_tide = "

@@ -25,7 +25,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError
+from driftcore.earth import RADIUS_M
+from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError, reading
+from driftcore.netcdf import open_netcdf
 from driftcore.record import listed
 
 if TYPE_CHECKING:
@@ -62,7 +64,6 @@ _LEAST_EIGENVALUE = 0.01
 # The strongest tidal currents of the world's straits run at about 10 m/s.
 _FASTEST = 15.0
 _PLACES_AT_ONCE = 512  # bounds the memory of a fit
-_EARTH_RADIUS = 6.371e6  # m
 _EARTH_ROTATION = 7.292e-5  # rad/s
 _GRAVITY = 9.81  # m/s²
 
@@ -553,7 +554,8 @@ def from_atlas(
     reader = _Reader(dict(names or {}), region, units, phase_units, wanted)
     with ExitStack() as stack:
         for label, name, dataset in _opened(source, stack):
-            reader.read(label, name, dataset)
+            with reading(label):
+                reader.read(label, name, dataset)
     atlas = _on_one_grid(*reader.components(), reader.depth(depth))
     fastest = max(float(abs(atlas[name]).max()) for name in "uv")
     if fastest > _FASTEST:
@@ -591,11 +593,8 @@ def _opened(
             path = Path(fspath(item))
             words = [_standard_name(word) for word in re.split(r"[\W_]+", path.stem)]
             told = {word for word in words if _known(word)}
-            try:
-                dataset = stack.enter_context(xr.open_dataset(path, decode_times=False))
-            except (OSError, ValueError) as error:
-                reason = str(error).splitlines()[0]
-                raise RecordError(f"{path}: cannot be read as NetCDF: {reason}") from error
+            with reading(f"{path}:", " as NetCDF"):
+                dataset = stack.enter_context(open_netcdf(path, decode_times=False))
             yield str(path), name or (told.pop() if len(told) == 1 else None), dataset
 
 
@@ -748,6 +747,9 @@ class _Reader:
         field = dataset[variable].drop_vars(dataset[variable].coords.keys() & {rows, columns})
         field = field.drop_vars([name for name in field.coords if name not in field.dims])
         field = field.rename({rows: "latitude", columns: "longitude"})
+        for role, values in (("latitude", latitude), ("longitude", longitude)):
+            if not len(values):
+                raise RecordError(f"{label}: {role} has no value")
         if latitude[-1] < latitude[0]:
             latitude, field = latitude[::-1], field.isel(latitude=slice(None, None, -1))
         longitude = np.unwrap(longitude, period=360)
@@ -1427,7 +1429,7 @@ def _atlas(
 
 
 def _metres(degrees: Float) -> Float:
-    return np.asarray(_EARTH_RADIUS * np.radians(degrees))
+    return np.asarray(RADIUS_M * np.radians(degrees))
 
 
 def _positive(name: str, value: float) -> None:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
 from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError
+from driftcore.memory import require_room, require_room_for
 from driftcore.record import (
     Float,
     Gaps,
@@ -371,11 +372,10 @@ class LocalGridBootstrap:
         ScenarioError
             If an argument is out of its range.
         """
-        values, indices = self.core.sample(
-            _whole("members", members, 1),
-            _whole("steps", steps, 1),
-            _whole("seed", seed, 0, 2**64 - 1),
-        )
+        members, steps = _whole("members", members, 1), _whole("steps", steps, 1)
+        # Twice over, for the core hands over what it has gathered.
+        require_room("members", float(members) * steps, 2 * 24, f"members' steps, {steps} each,")
+        values, indices = self.core.sample(members, steps, _whole("seed", seed, 0, 2**64 - 1))
         return (values, indices) if return_indices else values
 
     def __getstate__(self) -> dict[str, Any]:
@@ -546,6 +546,7 @@ def _real(
 
 
 def _real_array(field: str, values: ArrayLike) -> Float:
+    require_room_for(field, values)
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -72,8 +72,11 @@ impl Coast {
         Ok(Self { shape: Shape::Polygons { segments: RTree::bulk_load(segments), east }, side })
     }
 
-    /// Distance to the coast line, above 0 where the body floats.
+    /// Distance to the coast line, above 0 where the body floats; NaN of no place.
     pub fn clearance(&self, x: Vec2) -> f64 {
+        if !(x.x.is_finite() && x.y.is_finite()) {
+            return f64::NAN;
+        }
         let outside = match &self.shape {
             Shape::Circle { center, radius } => (x - center).norm() - radius,
             Shape::Polygons { segments, east } => {
@@ -109,14 +112,22 @@ impl Coast {
         if clearance <= 0.0 {
             return Ok(Some((t, piece.position(t)?)));
         }
+        // What is no number is on neither side.
+        let lost = |t| DriftError::Integration { t, reason: "the state is not finite" };
+        if clearance.is_nan() {
+            return Err(lost(t));
+        }
         while t < end {
             let stride = (clearance / reach.speed).max(RESOLUTION * period);
             let next = end.min(t + stride);
             let ahead = self.clearance(piece.position(next)?);
+            if ahead.is_nan() {
+                return Err(lost(next));
+            }
             if ahead <= 0.0 {
                 let crossing = self.root(piece, (t, clearance), (next, ahead))?;
                 if !crossing.is_finite() {
-                    return Err(DriftError::Integration { t, reason: "the state is not finite" });
+                    return Err(lost(t));
                 }
                 return Ok(Some((crossing, piece.position(crossing)?)));
             }

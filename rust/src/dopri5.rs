@@ -128,6 +128,9 @@ pub fn euler<const N: usize>(
     mut on_step: impl FnMut(&Step<N>) -> Result<ControlFlow<()>, DriftError>,
 ) -> Result<Work, DriftError> {
     let count = ((t1 - t0) / positive("euler_step", step)? - 1e-9).ceil().max(1.0);
+    if count > MAX_STEPS as f64 {
+        return Err(DriftError::Integration { t: t0, reason: "too many steps" });
+    }
     let h = (t1 - t0) / count;
     let mut y = y0;
     let mut work = Work::default();
@@ -176,7 +179,7 @@ const MAX_FACTOR: f64 = 5.0;
 /// Weight of the integral and the proportional part of the controller.
 const INTEGRAL: f64 = 0.17;
 const PROPORTIONAL: f64 = 0.04;
-const MAX_STEPS: usize = 50_000_000;
+const MAX_STEPS: usize = 20_000_000;
 
 /// Integrates `y' = rhs(t, y)` from `t0` to `t1`, handing every accepted step to `on_step`, which
 /// may stop the integration. Returns the work done and the step the controller would take next.

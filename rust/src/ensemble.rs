@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::coast::Coast;
 use crate::dopri5::Work;
-use crate::error::DriftError;
+use crate::error::{DriftError, finite, positive};
 use crate::field::{SeaField, Vec2};
 use crate::lanes::WIDTH;
 use crate::logbook::{Logbook, Watch};
@@ -36,7 +36,23 @@ pub struct Scenario {
     pub velocity: Vec2,
 }
 
+/// Tides in a run: of more, a unit is wrong.
+pub(crate) const MOST_TIDES: f64 = 1e6;
+
 impl Scenario {
+    /// Fails unless the numbers make sense.
+    pub fn validated(self) -> Result<Self, DriftError> {
+        positive("drag", self.drag)?;
+        positive("duration", self.duration)?;
+        finite("position", self.position.as_slice())?;
+        finite("velocity", self.velocity.as_slice())?;
+        if self.duration / self.sea.period() > MOST_TIDES {
+            let accepted = format!("a run has at most {MOST_TIDES} tides");
+            return Err(DriftError::invalid("duration", self.duration, accepted));
+        }
+        Ok(self)
+    }
+
     /// Follows the body through the whole run under a given wind, whatever coast there is.
     pub fn trajectory(
         &self,
@@ -233,6 +249,9 @@ impl<'a> Ensemble<'a> {
             .filter(|_| solver.euler_step.is_none() && !matches!(winds, Winds::Given(_)));
         let shared = carrier.map(|carrier| {
             let problem = scenario.problem(WindPath::calm());
+            if let Some(steps) = steps_per_tide {
+                positive("steps_per_tide", steps)?;
+            }
             let longest = steps_per_tide.map_or(carrier.max_step(), |steps| 1.0 / steps);
             let Scenario { sea, duration, drag, .. } = scenario;
             Ok(SideBySide {

@@ -53,6 +53,31 @@ impl DriftError {
     }
 }
 
+/// An empty list with room for `count` values, where there is memory for them.
+pub(crate) fn room<T>(field: &'static str, count: usize) -> Result<Vec<T>, DriftError> {
+    let mut values = Vec::new();
+    values.try_reserve_exact(count).map_err(|_| {
+        let bytes = count.saturating_mul(size_of::<T>());
+        DriftError::invalid(field, count, format!("there is no memory for {bytes} bytes"))
+    })?;
+    Ok(values)
+}
+
+/// The product of some counts, where a list can be as long.
+pub(crate) fn product(field: &'static str, counts: &[usize]) -> Result<usize, DriftError> {
+    (counts.iter().try_fold(1_usize, |product, count| product.checked_mul(*count)))
+        .filter(|product| *product <= isize::MAX as usize)
+        .ok_or_else(|| DriftError::invalid(field, format!("{counts:?}"), "that is too many"))
+}
+
+/// Fails unless every value is finite.
+pub(crate) fn finite(field: &'static str, values: &[f64]) -> Result<(), DriftError> {
+    match values.iter().find(|value| !value.is_finite()) {
+        None => Ok(()),
+        Some(bad) => Err(DriftError::invalid(field, bad, "it must be finite")),
+    }
+}
+
 /// `value` if it is finite and above zero, else an error that names `field`.
 pub fn positive(field: &'static str, value: f64) -> Result<f64, DriftError> {
     if value.is_finite() && value > 0.0 {

@@ -5,15 +5,15 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::coast::Coast;
-use crate::ensemble::{Member, Trajectory, Winds, member, trajectory};
-use crate::error::DriftError;
+use crate::ensemble::{MOST_TIDES, Member, Trajectory, Winds, member, trajectory};
+use crate::error::{DriftError, finite};
 use crate::field::SeaField;
 use crate::geometry::Geometry;
 use crate::logbook::{Logbook, Watch};
 use crate::model::body::{Body, Drift, Release};
 use crate::model::{Model, Solver};
 use crate::statistics::Maps;
-use crate::wind::{Sampling, Wind, jibes};
+use crate::wind::{MOST_MEMBERS, Sampling, Wind, jibes};
 
 /// Bodies adrift in one sea: member `first + k` is body and release `k`, or the only one.
 pub struct Fleet {
@@ -37,12 +37,27 @@ pub struct Fleet {
     pub seed: u64,
 }
 
+/// Each jibe is a corner that a step ends at.
+const MOST_JIBES: f64 = 1e7;
+
 impl Fleet {
     /// Fails unless every body and release makes sense.
     pub fn validated(self) -> Result<Self, DriftError> {
         let lists = [("releases", self.releases.len()), ("bodies", self.bodies.len())];
         if let Some((name, _)) = lists.into_iter().find(|(_, len)| *len == 0) {
             return Err(DriftError::invalid(name, "an empty list", "there must be one at least"));
+        }
+        if self.first >= MOST_MEMBERS {
+            return Err(DriftError::invalid("first", self.first, "members are numbered to 2⁶²"));
+        }
+        finite("jibing rate", &[self.jibing_rate])?;
+        if self.jibing_rate * self.end > MOST_JIBES {
+            let accepted = format!("a run has at most {MOST_JIBES} jibes on average");
+            return Err(DriftError::invalid("jibing rate", self.jibing_rate, accepted));
+        }
+        if self.end / self.sea.period() > MOST_TIDES {
+            let accepted = format!("a run has at most {MOST_TIDES} tides");
+            return Err(DriftError::invalid("end", self.end, accepted));
         }
         let sound = |values: &[f64]| values.iter().all(|value| value.is_finite());
         for Release { time, position, velocity } in &self.releases {

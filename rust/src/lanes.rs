@@ -1,8 +1,9 @@
 //! Numbers of several members side by side, so that one instruction serves many of them.
 //!
 //! Plain arrays and loops: the compiler turns them into vector instructions, and [`dispatch`]
-//! picks the widest set of the processor at run time. Only additions, multiplications and
-//! comparisons are used, never fused, so that every instruction set gives the same bits.
+//! picks the widest set of the processor at run time. Only additions, multiplications, fused
+//! multiply-adds and comparisons are used, each rounded once, so that every instruction set gives
+//! the same bits; a processor that cannot fuse does it slowly.
 
 use std::ops::{Add, AddAssign, Mul, Sub};
 
@@ -35,6 +36,12 @@ impl Lanes {
             *a = f(*a, b);
         }
         self
+    }
+
+    /// `self·factor + other`, rounded once.
+    #[inline(always)]
+    pub fn mul_add(self, factor: f64, other: Self) -> Self {
+        self.zip(other, |a, b| a.mul_add(factor, b))
     }
 
     /// The greater of two numbers, lane by lane; `other` where `self` is not a number.

@@ -98,7 +98,12 @@ impl<'a> Logbook<'a> {
         let end = piece.span().1.min(until);
         for (times, places) in [(outputs, &mut self.positions), (samples, &mut self.track)] {
             while let Some(t) = times.get(places.len()).filter(|t| **t <= end) {
-                places.push(piece.position(*t)?);
+                let x = piece.position(*t)?;
+                if !(x.x.is_finite() && x.y.is_finite()) {
+                    let reason = "the state is not finite";
+                    return Err(DriftError::Integration { t: *t, reason });
+                }
+                places.push(x);
             }
         }
         Ok(match self.stranding {

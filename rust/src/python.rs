@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 
 use crate::coast::{Coast as CoreCoast, Side};
 use crate::ensemble::{self, Ensemble, Member, Trajectory, Winds};
-use crate::error::DriftError;
+use crate::error::{DriftError, finite, product, room};
 use crate::field::academic::{AcademicSea, SeparableCurrent};
 use crate::field::gridded::{Axis, GriddedSea, Tide};
 use crate::field::sum::SumOfSeas;
@@ -141,7 +141,8 @@ impl WindPath {
         times: &PyReadonlyArray1<f64>,
         value: impl Fn(f64) -> Vec2,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let values: Vec<Vec2> = times.as_array().iter().map(|t| value(*t)).collect();
+        let mut values = room("times", times.len())?;
+        values.extend(times.as_array().iter().map(|t| value(*t)));
         columns(py, &values)
     }
 }
@@ -180,9 +181,10 @@ impl WindPaths {
             return Err(DriftError::invalid("members", members, "there are fewer").into());
         }
         let times = times.as_array();
-        let values: Vec<Vec2> = (0..members)
-            .flat_map(|member| times.iter().map(move |t| self.0.velocity(member, *t)))
-            .collect();
+        let mut values = room("times", product("times", &[members, times.len()])?)?;
+        values.extend(
+            (0..members).flat_map(|member| times.iter().map(move |t| self.0.velocity(member, *t))),
+        );
         layers(py, [members, times.len()], &values)
     }
 }
@@ -238,12 +240,14 @@ impl Bootstrap {
         phase: Option<usize>,
         hand_over: Option<&HandOver>,
     ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<i64>>)> {
-        let mut wind = Vec::new();
-        let mut predecessor = Vec::new();
+        let end = member_range(first_member, members)?.end;
+        let count = product("members", &[members, steps, 2])? / 2;
+        let mut wind = room("members", count)?;
+        let mut predecessor = room("members", count)?;
         let beginning = Beginning { phase, hand_over: hand_over.map(|over| over.0.clone()) };
         let mut member = first_member;
-        while member < first_member + members as u64 {
-            let batch = member..(member + BATCH).min(first_member + members as u64);
+        while member < end {
+            let batch = member..(member + BATCH).min(end);
             member = batch.end;
             let sample =
                 py.detach(|| wind::sample(&self.0, seed, batch, steps, beginning.clone()))?;
@@ -483,6 +487,7 @@ impl Maps {
     /// Cells (start, size, count) of x and y; `times` are among the `samples`.
     #[new]
     fn new(
+        py: Python,
         x: (f64, f64, usize),
         y: (f64, f64, usize),
         times: PyReadonlyArray1<f64>,
@@ -491,14 +496,15 @@ impl Maps {
     ) -> PyResult<Self> {
         let [x, y] = [x, y].map(|(start, size, count)| Cells { start, size, count });
         let [times, samples] = [times, samples].map(|times| times.as_array().to_vec());
-        Ok(Self(CoreMaps::new(MapGrid::new(x, y, times, samples)?, threads)))
+        let threads = checked_threads(threads)?;
+        Ok(Self(py.detach(|| CoreMaps::new(MapGrid::new(x, y, times, samples)?, threads))?))
     }
 
     /// Numbers of members up to now, flat.
-    fn counts<'py>(&self, py: Python<'py>) -> Counted<'py> {
-        let counts = py.detach(|| self.0.total());
-        [counts.present, counts.arrived, counts.outside, counts.stranded]
-            .map(|values| values.into_pyarray(py))
+    fn counts<'py>(&self, py: Python<'py>) -> PyResult<Counted<'py>> {
+        let counts = py.detach(|| self.0.total())?;
+        Ok([counts.present, counts.arrived, counts.outside, counts.stranded]
+            .map(|values| values.into_pyarray(py)))
     }
 }
 
@@ -562,14 +568,15 @@ impl Scenario {
         position: (f64, f64),
         velocity: (f64, f64),
     ) -> PyResult<Self> {
-        Ok(Self(ensemble::Scenario {
+        let scenario = ensemble::Scenario {
             sea: sea.0.clone(),
             coast: coast.map(|coast| coast.0.clone()),
-            drag: crate::error::positive("drag", drag)?,
-            duration: crate::error::positive("duration", duration)?,
+            drag,
+            duration,
             position: Vec2::new(position.0, position.1),
             velocity: Vec2::new(velocity.0, velocity.1),
-        }))
+        };
+        Ok(Self(scenario.validated()?))
     }
 
     /// Position, velocity and (empty where the model has none) slow position and velocity; steps
@@ -581,7 +588,7 @@ impl Scenario {
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
-        let times = times.as_array().to_vec();
+        let times = output_times(&times, self.0.duration)?;
         let out = py.detach(|| self.0.trajectory(&wind.0, &solver.0, &times))?;
         trajectory_arrays(py, out)
     }
@@ -607,15 +614,16 @@ impl Scenario {
         steps_per_tide: Option<f64>,
         maps: Option<&Maps>,
     ) -> PyResult<Option<String>> {
-        let times = times.as_array().to_vec();
+        let times = output_times(&times, self.0.duration)?;
         let paths = winds.paths();
         let winds = winds.core(&paths);
         let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
         let outputs = (times.as_slice(), keep);
+        let range = checked_rows(first, keep, &into, times.len(), targets.len())?;
         let ensemble = py
             .detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?
             .observed(maps.map(|maps| &maps.0), &targets);
-        run_batches(py, first, into, threads, |batch| ensemble.follow(batch))
+        run_batches(py, range, into, threads, |batch| ensemble.follow(batch))
     }
 }
 
@@ -737,7 +745,7 @@ impl Fleet {
         solver: &Solver,
         times: PyReadonlyArray1<f64>,
     ) -> PyResult<Followed<'py>> {
-        let times = times.as_array().to_vec();
+        let times = output_times(&times, self.0.end)?;
         let paths = winds.paths();
         let winds = winds.core(&paths);
         let out = py.detach(|| self.0.trajectory(&winds, &solver.0, &times))?;
@@ -760,27 +768,83 @@ impl Fleet {
         targets: Vec<Py<Coast>>,
         maps: Option<&Maps>,
     ) -> PyResult<Option<String>> {
-        let times = times.as_array().to_vec();
+        let times = output_times(&times, self.0.end)?;
         let paths = winds.paths();
         let winds = winds.core(&paths);
         let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
+        let range = checked_rows(first, keep, &into, times.len(), targets.len())?;
         let watched =
             Watched { outputs: &times, keep, maps: maps.map(|maps| &maps.0), targets: &targets };
-        run_batches(py, first, into, threads, |batch| {
+        run_batches(py, range, into, threads, |batch| {
             self.0.follow(&winds, &solver.0, watched, batch)
         })
     }
 }
 
-/// Follows members from `first` on in batches, with a look at Python's signals between them, and
+/// More threads than any machine has processors.
+const MOST_THREADS: usize = 1024;
+
+fn checked_threads(threads: usize) -> Result<usize, DriftError> {
+    if (1..=MOST_THREADS).contains(&threads) {
+        return Ok(threads);
+    }
+    Err(DriftError::invalid("threads", threads, format!("it must be from 1 to {MOST_THREADS}")))
+}
+
+fn member_range(first: u64, members: usize) -> Result<std::ops::Range<u64>, DriftError> {
+    match first.checked_add(members as u64) {
+        Some(end) if end <= wind::MOST_MEMBERS => Ok(first..end),
+        _ => Err(DriftError::invalid("member", first, "members are numbered to 2⁶²")),
+    }
+}
+
+/// Output times, which must lie within the run and not decrease.
+fn output_times(times: &PyReadonlyArray1<f64>, end: f64) -> Result<Vec<f64>, DriftError> {
+    let times = times.as_array().to_vec();
+    finite("times", &times)?;
+    if let Some(pair) = times.windows(2).find(|pair| pair[1] < pair[0]) {
+        return Err(DriftError::invalid("times", pair[1], "they must not decrease"));
+    }
+    if let Some(bad) = times.iter().find(|t| !(0.0..=end).contains(*t)) {
+        return Err(DriftError::invalid("times", bad, format!("the run covers [0, {end}]")));
+    }
+    Ok(times)
+}
+
+/// The members that `into` has rows for; fails unless what is written down fits.
+fn checked_rows(
+    first: u64,
+    keep: u64,
+    into: &Fates,
+    outputs: usize,
+    targets: usize,
+) -> Result<std::ops::Range<u64>, DriftError> {
+    let (status, stranding_time, place, position, entry_time) = into;
+    let members = status.len();
+    let range = member_range(first, members)?;
+    let kept = keep.saturating_sub(first).min(members as u64) as usize;
+    let fits = stranding_time.len() == members
+        && place.shape() == [members, 2]
+        && (position.shape()[0] >= kept && position.shape()[1..] == [outputs, 2])
+        && entry_time.shape() == [members, targets];
+    if fits {
+        return Ok(range);
+    }
+    let accepted = format!("{members} members, {kept} kept at {outputs} times, {targets} targets");
+    let shapes = [place.shape(), position.shape(), entry_time.shape()];
+    Err(DriftError::invalid("into", format!("{shapes:?}"), accepted))
+}
+
+/// Follows members in batches, with a look at Python's signals between them, and
 /// writes down what became of them. Gives the first failure.
 fn run_batches(
     py: Python,
-    first: u64,
+    members: std::ops::Range<u64>,
     into: Fates,
     threads: usize,
     follow: impl Fn(std::ops::Range<u64>) -> Vec<Member> + Sync,
 ) -> PyResult<Option<String>> {
+    let threads = checked_threads(threads)?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
@@ -790,7 +854,6 @@ fn run_batches(
     let mut place = place.as_array_mut();
     let mut position = position.as_array_mut();
     let mut entry_time = entry_time.as_array_mut();
-    let members = first..first + status.len() as u64;
     let mut size = BATCH * threads as u64;
     let mut failure = None;
     let mut row = 0;

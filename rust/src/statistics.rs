@@ -6,7 +6,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use crate::ensemble::{Member, Status};
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
 
 /// Cells of one length along one axis; a cell holds its lower edge and not its upper one.
@@ -52,8 +52,11 @@ impl MapGrid {
         for (name, cells) in [("map x", x), ("map y", y)] {
             positive(name, cells.size)?;
             positive(name, cells.count as f64)?;
+            finite(name, &[cells.start])?;
         }
+        product("map cells", &[times.len() + 1, y.count, x.count])?;
         for (name, times) in [("map times", &times), ("map samples", &samples)] {
+            finite(name, times)?;
             if times.is_empty() || !times.is_sorted_by(|a, b| a < b) {
                 return Err(DriftError::invalid(name, format!("{times:?}"), "they must increase"));
             }
@@ -160,14 +163,14 @@ pub struct Counts {
 }
 
 impl Counts {
-    fn zero(grid: &MapGrid) -> Self {
+    fn zero(grid: &MapGrid) -> Result<Self, DriftError> {
         let (times, cells) = (grid.times.len(), grid.cells());
-        Self {
-            present: vec![0; times * cells],
-            arrived: vec![0; (times + 1) * cells],
-            outside: vec![0; times],
-            stranded: vec![0; times],
-        }
+        Ok(Self {
+            present: zeros(times * cells)?,
+            arrived: zeros((times + 1) * cells)?,
+            outside: zeros(times)?,
+            stranded: zeros(times)?,
+        })
     }
 
     fn add(&mut self, other: &Self) {
@@ -181,6 +184,12 @@ impl Counts {
             mine.iter_mut().zip(theirs).for_each(|(mine, theirs)| *mine += theirs);
         }
     }
+}
+
+fn zeros<T: Default + Clone>(count: usize) -> Result<Vec<T>, DriftError> {
+    let mut values = room("map cells", count)?;
+    values.resize(count, T::default());
+    Ok(values)
 }
 
 /// What one thread counts, and the cells that the member at hand has been to.
@@ -236,14 +245,17 @@ pub struct Maps {
 
 impl Maps {
     /// Nothing counted yet, for so many threads.
-    pub fn new(grid: MapGrid, threads: usize) -> Self {
-        let counter = || Counter {
-            counts: Counts::zero(&grid),
-            been: vec![false; grid.cells()],
-            visited: Vec::new(),
+    pub fn new(grid: MapGrid, threads: usize) -> Result<Self, DriftError> {
+        let counter = || -> Result<Counter, DriftError> {
+            Ok(Counter {
+                counts: Counts::zero(&grid)?,
+                been: zeros(grid.cells())?,
+                visited: Vec::new(),
+            })
         };
-        let counters = (0..threads.max(1)).map(|_| Mutex::new(counter())).collect();
-        Self { grid, counters }
+        let counters =
+            (0..threads.max(1)).map(|_| Ok(Mutex::new(counter()?))).collect::<Result<_, _>>()?;
+        Ok(Self { grid, counters })
     }
 
     /// What is mapped.
@@ -263,12 +275,12 @@ impl Maps {
     }
 
     /// The counts of all threads.
-    pub fn total(&self) -> Counts {
-        let mut total = Counts::zero(&self.grid);
+    pub fn total(&self) -> Result<Counts, DriftError> {
+        let mut total = Counts::zero(&self.grid)?;
         for counter in &self.counters {
             total.add(&counter.lock().unwrap_or_else(PoisonError::into_inner).counts);
         }
-        total
+        Ok(total)
     }
 }
 
@@ -374,12 +386,12 @@ mod tests {
 
     #[test]
     fn members_are_counted_once_a_cell_and_nowhere_twice_at_a_time() -> Result<(), DriftError> {
-        let maps = Maps::new(grid(&[0.0, 0.5])?, 1);
+        let maps = Maps::new(grid(&[0.0, 0.5])?, 1)?;
         maps.count(&member(&[(0.5, 0.5), (1.5, 0.5), (0.5, 0.5)], None));
         maps.count(&member(&[(0.5, 0.5), (9.0, 0.5), (9.0, 2.5)], None));
         maps.count(&member(&[(0.5, 0.5)], Some((0.25, (0.5, 1.5)))));
         maps.count(&Member { status: Status::Failed, ..member(&[(0.5, 0.5)], None) });
-        let counts = maps.total();
+        let counts = maps.total()?;
         let at = |values: &[u32], map: usize, x: usize, y: usize| values[map * 12 + y * 4 + x];
         assert_eq!(at(&counts.present, 0, 0, 0), 3);
         assert_eq!(at(&counts.present, 1, 1, 0), 1);

@@ -3,7 +3,7 @@
 use num_complex::Complex64;
 
 use super::{CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2};
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, finite, positive};
 
 /// `x_k · (mean + modulation · wave(2π·cycles·t)) · Σ_j s_j sin(jωt)`: one of the two
 /// parts of the academic sea, paper section 4.1.
@@ -81,7 +81,12 @@ impl AcademicSea {
         residual_scale: f64,
     ) -> Result<Self, DriftError> {
         positive("period", period)?;
+        positive("period", std::f64::consts::TAU / period)?;
+        finite("residual scale", &[residual_scale])?;
         for current in [&tide, &residual] {
+            let SeparableCurrent { mean, modulation, cycles, phase, sines, .. } = current;
+            finite("current", &[*mean, *modulation, *cycles, *phase])?;
+            finite("harmonics", &sines.iter().flat_map(|s| [s.x, s.y]).collect::<Vec<_>>())?;
             if current.axis > 1 {
                 return Err(DriftError::invalid("axis", current.axis, "it must be 0 or 1"));
             }

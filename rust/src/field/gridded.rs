@@ -9,7 +9,7 @@ use num_complex::Complex64;
 use smallvec::{SmallVec, smallvec};
 
 use super::{CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase, phasors};
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, finite, positive, product};
 
 /// Regular axis of `count` grid points; an axis of one point is constant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,6 +33,7 @@ pub(crate) struct Stencil {
 impl Axis {
     pub(crate) fn validated(self, name: &'static str) -> Result<Self, DriftError> {
         positive(name, self.step)?;
+        finite(name, &[self.start])?;
         if self.count != 1 && self.count < 4 {
             return Err(DriftError::invalid(
                 name,
@@ -45,7 +46,7 @@ impl Axis {
 
     /// Number of spline coefficients.
     pub(crate) fn coefficients(&self) -> usize {
-        if self.count == 1 { 1 } else { self.count + 2 }
+        if self.count == 1 { 1 } else { self.count.saturating_add(2) }
     }
 
     pub(crate) fn contains(&self, at: f64) -> bool {
@@ -142,8 +143,9 @@ impl GriddedSea {
             Tide::Harmonics(count) => (*count, true),
             Tide::Constituents(constituents) => (constituents.len(), false),
         };
-        let expected = x.coefficients() * y.coefficients() * time.coefficients() * channels;
-        if !channels.is_multiple_of(2) || channels < 2 * tide_harmonics {
+        let counts = [x.coefficients(), y.coefficients(), time.coefficients(), channels];
+        let expected = product("coefficients", &counts)?;
+        if !channels.is_multiple_of(2) || channels / 2 < tide_harmonics {
             return Err(DriftError::invalid(
                 "channels",
                 channels,
@@ -160,7 +162,7 @@ impl GriddedSea {
         if let Some(bad) = coefficients.iter().find(|c| !c.is_finite()) {
             return Err(DriftError::invalid("coefficients", bad, "they must be finite"));
         }
-        let omega = std::f64::consts::TAU / period;
+        let omega = positive("period", std::f64::consts::TAU / period)?;
         let mut lines = match tide {
             Tide::Harmonics(count) => (1..=count).map(|j| Harmonic::multiple(j, omega)).collect(),
             Tide::Constituents(constituents) => constituents,

@@ -280,7 +280,10 @@ impl StageField for Linear<'_> {
     #[inline(always)]
     fn rate(&mut self, step: usize, stage: usize, _: f64, x: LaneVec2) -> LaneVec2 {
         let [xx, xy, yx, yy] = self.matrices[step][stage];
-        [x[0] * xx + x[1] * xy + self.q[0], x[0] * yx + x[1] * yy + self.q[1]]
+        [
+            x[0].mul_add(xx, x[1].mul_add(xy, self.q[0])),
+            x[0].mul_add(yx, x[1].mul_add(yy, self.q[1])),
+        ]
     }
 }
 
@@ -304,7 +307,7 @@ impl StageField for Anywhere<'_> {
             }
         }
         for k in 0..2 {
-            rate[k] = rate[k] + self.q[k] - x[k] * self.drag;
+            rate[k] = x[k].mul_add(-self.drag, rate[k] + self.q[k]);
         }
         rate
     }
@@ -344,13 +347,13 @@ impl Kernel for StepKernel<'_, Linear<'_>> {
     }
 }
 
-/// `Σ weight·k` of the stages that count.
+/// `onto + h Σ weight·k` of the stages that count.
 #[inline(always)]
-fn weighted(weights: &[f64], k: &[LaneVec2; 7], h: f64, component: usize) -> Lanes {
-    let mut sum = k[0][component] * (weights[0] * h);
-    for (weight, k) in weights.iter().zip(k).skip(1) {
+fn weighted(weights: &[f64], k: &[LaneVec2; 7], h: f64, c: usize, onto: Lanes) -> Lanes {
+    let mut sum = onto;
+    for (weight, k) in weights.iter().zip(k) {
         if *weight != 0.0 {
-            sum += k[component] * (*weight * h);
+            sum = k[c].mul_add(*weight * h, sum);
         }
     }
     sum
@@ -365,20 +368,21 @@ impl<F: StageField> StepKernel<'_, F> {
         let mut reach = None;
         for (step, n) in steps.clone().enumerate() {
             let times = stage_times(n as f64 * h, h);
-            let blown = (*bounded && n + 1 == steps.end)
-                .then(|| (walk.integral(times[0]), walk.double_integral(times[0], drag)));
-            let mut forcing = [[Lanes::ZERO; 2]; 5];
-            for (forcing, t) in forcing.iter_mut().zip(&times[1..]) {
-                *forcing = walk.double_integral(*t, drag);
-            }
             let p = state.p;
+            let blown = (*bounded && n + 1 == steps.end)
+                .then(|| (walk.integral(times[0]), walk.double_integral(times[0], drag, p)));
+            // The position of each stage but for its slopes.
+            let mut forced = [p; 5];
+            for (forced, t) in forced.iter_mut().zip(&times[1..]) {
+                *forced = walk.double_integral(*t, drag, p);
+            }
             let k = &mut state.stages;
             k[0] = k[6];
             macro_rules! stage {
                 ($stage:literal) => {{
                     let mut x = [Lanes::ZERO; 2];
                     for c in 0..2 {
-                        x[c] = p[c] + weighted(A[$stage - 1], k, h, c) + forcing[$stage - 1][c];
+                        x[c] = weighted(A[$stage - 1], k, h, c, forced[$stage - 1][c]);
                     }
                     k[$stage] = self.field.rate(step, $stage, times[$stage], x);
                 }};
@@ -388,31 +392,33 @@ impl<F: StageField> StepKernel<'_, F> {
             stage!(3);
             stage!(4);
             stage!(5);
-            let mut end = [Lanes::ZERO; 2];
+            let (mut end, mut x) = ([Lanes::ZERO; 2], [Lanes::ZERO; 2]);
             for c in 0..2 {
-                end[c] = p[c] + weighted(&B, k, h, c);
+                let moved = weighted(&B, k, h, c, Lanes::ZERO);
+                end[c] = p[c] + moved;
+                x[c] = forced[4][c] + moved;
             }
-            let x = [end[0] + forcing[4][0], end[1] + forcing[4][1]];
             k[6] = self.field.rate(step, 5, times[5], x);
             if let Some((rtol, atol)) = tolerance {
                 for c in 0..2 {
-                    let error = weighted(&E, k, h, c).abs();
-                    let allowed = p[c].abs().max(end[c].abs()) * *rtol + Lanes::splat(*atol);
+                    let error = weighted(&E, k, h, c, Lanes::ZERO).abs();
+                    let size = p[c].abs().max(end[c].abs());
+                    let allowed = size.mul_add(*rtol, Lanes::splat(*atol));
                     state.excess_error = state.excess_error.max(error - allowed);
                 }
             }
-            reach = blown.map(|(single, double)| {
+            reach = blown.map(|(single, center)| {
                 let (mut distance, mut speed) = (Lanes::ZERO, Lanes::ZERO);
                 for power in 0..4 {
                     let weights = D.map(|weights| weights[power]);
-                    let size =
-                        weighted(&weights, k, h, 0).abs() + weighted(&weights, k, h, 1).abs();
+                    let [x, y] = [0, 1].map(|c| weighted(&weights, k, h, c, Lanes::ZERO).abs());
+                    let size = x + y;
                     distance += size;
                     speed += size * ((power + 1) as f64 / h);
                 }
                 let blown = single[0].abs() + single[1].abs() + wind.max_speed(times[5]) * h;
                 LaneReach {
-                    center: [p[0] + double[0], p[1] + double[1]],
+                    center,
                     radius: distance + blown * (h * drag),
                     speed: speed + blown * drag,
                 }

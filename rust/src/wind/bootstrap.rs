@@ -14,7 +14,7 @@
 use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, finite, positive, room};
 use crate::field::Vec2;
 use crate::lanes::{Kernel, dispatch};
 
@@ -321,6 +321,7 @@ impl Bootstrap {
                 format!("it needs {d} values"),
             ));
         }
+        finite("state", state)?;
         let mut y = [0.0; MAX_DIMENSION];
         y[..d].copy_from_slice(state);
         let z = self.whiten(&y);
@@ -328,7 +329,9 @@ impl Bootstrap {
         let mut draw = || {
             if weigh_all { self.weigh_all(&z[..d], rng) } else { self.draw(&z, rng, &mut scratch) }
         };
-        Ok((0..count).map(|_| self.catalogue.row[draw()]).collect())
+        let mut rows = room("count", count)?;
+        rows.extend((0..count).map(|_| self.catalogue.row[draw()]));
+        Ok(rows)
     }
 }
 

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::path::{WindPath, require_cover};
 use super::{Sampling, SmallScale, Stream, Wind, stream};
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, finite, positive, product};
 use crate::field::Vec2;
 use crate::field::gridded::{Axis, Stencil};
 
@@ -30,7 +30,7 @@ impl WindPatterns {
         coefficients: Vec<Vec2>,
     ) -> Result<Self, DriftError> {
         let (x, y) = (x.validated("x axis")?, y.validated("y axis")?);
-        let expected = x.coefficients() * y.coefficients() * count;
+        let expected = product("wind patterns", &[x.coefficients(), y.coefficients(), count])?;
         if count == 0 || coefficients.len() != expected {
             return Err(DriftError::invalid(
                 "wind patterns",
@@ -101,7 +101,8 @@ impl FieldWinds {
         small_scale: Option<(SmallScale, u64)>,
     ) -> Result<Self, DriftError> {
         positive("wind step", step)?;
-        let each = steps * patterns.count;
+        finite("wind start", &[start, start + step * steps as f64])?;
+        let each = product("wind amplitudes", &[steps, patterns.count])?;
         if steps < 2 || amplitudes.is_empty() || !amplitudes.len().is_multiple_of(each) {
             return Err(DriftError::invalid(
                 "wind amplitudes",

@@ -1,12 +1,10 @@
 //! Winds of several members side by side, on common regular knots, with the integrals that a step
 //! of all of them needs: equations.md (21), summed from knot to knot.
 
-#![expect(clippy::needless_range_loop, reason = "several vectors go together by component")]
-
 use super::bootstrap::Scratch;
 use super::path::{WindPath, require_cover};
 use super::{MemberWind, Sampling, WindGenerator};
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
 use crate::lanes::{LaneVec2, Lanes, WIDTH, lane, set_lane};
 
@@ -30,6 +28,7 @@ impl WindPaths {
         velocity: impl Fn(usize, usize) -> Vec2,
     ) -> Result<Self, DriftError> {
         positive("wind paths' spacing", spacing)?;
+        finite("wind paths' start", &[start, start + knots as f64 * spacing])?;
         if members == 0 || knots < 2 {
             return Err(DriftError::invalid(
                 "wind paths",
@@ -38,13 +37,17 @@ impl WindPaths {
             ));
         }
         let groups = members.div_ceil(WIDTH);
-        let mut blocks = vec![[Lanes::ZERO; 2]; groups * knots];
+        let count = product("wind paths", &[groups, knots])?;
+        let mut blocks = room("wind paths", count)?;
+        blocks.resize(count, [Lanes::ZERO; 2]);
         for (group, block) in blocks.chunks_exact_mut(knots).enumerate() {
             for (knot, values) in block.iter_mut().enumerate() {
                 for place in 0..WIDTH {
                     let member = group * WIDTH + place;
                     if member < members {
-                        set_lane(values, place, velocity(member, knot));
+                        let wind = velocity(member, knot);
+                        finite("wind paths' velocity", wind.as_slice())?;
+                        set_lane(values, place, wind);
                     }
                 }
             }
@@ -115,8 +118,22 @@ pub struct LaneWind<'a> {
     start: f64,
     /// The knot up to which the integrals have been summed, among those held.
     base: usize,
-    /// ∫W and ∬W from the release to that knot, in units of the spacing and of its square.
-    sums: [LaneVec2; 2],
+    sums: Sums,
+}
+
+/// What a knot `n` has come to: `∫W + W_n/2` and `∬W − W_n/6` from the release on, in units of the
+/// spacing and of its square. From knot to knot, each grows by a sum: the second by the first, the
+/// first by the next wind.
+type Sums = [LaneVec2; 2];
+
+/// The sums where the integrals are known.
+fn sums_of(integrals: [LaneVec2; 2], wind: &LaneVec2) -> Sums {
+    let [mut single, mut double] = integrals;
+    for k in 0..2 {
+        single[k] = wind[k].mul_add(0.5, single[k]);
+        double[k] = wind[k].mul_add(-1.0 / 6.0, double[k]);
+    }
+    [single, double]
 }
 
 /// Knots that have been passed are dropped when there are so many of them.
@@ -125,22 +142,24 @@ const KEPT_KNOTS: usize = 1024;
 impl<'a> LaneWind<'a> {
     /// Members `WIDTH·group` and following, in memory.
     pub fn in_memory(paths: &'a WindPaths, group: usize) -> Self {
+        let (spacing, start) = (paths.spacing, paths.start);
         let source = Source::InMemory(paths.block(group));
-        let mut wind = Self {
-            source,
-            spacing: paths.spacing,
-            start: paths.start,
-            base: 0,
-            sums: [[Lanes::ZERO; 2]; 2],
-        };
-        // From the first knot to the release, which becomes the origin of the integrals.
+        let zero = [[Lanes::ZERO; 2]; 2];
+        let mut wind = Self { source, spacing, start, base: 0, sums: zero };
         let u;
         (wind.base, u) = wind.place(0.0);
-        let (single, double) = wind.view().within(wind.base, u);
+        // From that knot to the release, which becomes the origin of the integrals.
+        let first = &paths.block(group)[wind.base];
+        wind.sums = sums_of(zero, first);
+        let mut walk = wind.view().walk();
+        let single = walk.integral(0.0);
+        let double = walk.double_integral(0.0, 1.0, zero[0]);
+        let (mut before, mut before_that) = (zero[0], zero[0]);
         for k in 0..2 {
-            wind.sums[0][k] = Lanes::ZERO - single[k];
-            wind.sums[1][k] = single[k] * u - double[k];
+            before[k] = single[k] * (-1.0 / spacing);
+            before_that[k] = (single[k] * (u / spacing)) - double[k] * (1.0 / (spacing * spacing));
         }
+        wind.sums = sums_of([before, before_that], first);
         wind
     }
 
@@ -166,6 +185,7 @@ impl<'a> LaneWind<'a> {
             })
             .collect::<Result<_, DriftError>>()?;
         let spacing = generator.knots(sampling).0;
+        let sums = sums_of([[Lanes::ZERO; 2]; 2], &velocity[0]);
         let source = Source::Drawn {
             generator,
             sampling,
@@ -175,7 +195,7 @@ impl<'a> LaneWind<'a> {
             knots,
             scratch,
         };
-        Ok(Self { source, spacing, start: 0.0, base: 0, sums: [[Lanes::ZERO; 2]; 2] })
+        Ok(Self { source, spacing, start: 0.0, base: 0, sums })
     }
 
     /// Sees to it that the wind is known up to time `t`, for the members `wanted`.
@@ -242,7 +262,7 @@ impl<'a> LaneWind<'a> {
     }
 
     /// Goes on to the knot that a step came to.
-    pub(crate) fn go_on(&mut self, (base, sums): (usize, [LaneVec2; 2])) {
+    pub(crate) fn go_on(&mut self, (base, sums): (usize, Sums)) {
         self.base = base;
         self.sums = sums;
     }
@@ -256,6 +276,8 @@ impl<'a> LaneWind<'a> {
             knots.get(view.base..end).unwrap_or(&[]).iter().map(|w| lane(w, place)).collect()
         };
         let [single, double] = view.sums.map(|sum| lane(&sum, place));
+        let first = lane(&view.velocity[view.base], place);
+        let (single, double) = (single - first / 2.0, double + first / 6.0);
         WindPath::stretch(
             view.start + view.base as f64 * view.spacing,
             view.spacing,
@@ -266,7 +288,7 @@ impl<'a> LaneWind<'a> {
     }
 }
 
-/// The knots around one step, and the integrals up to the first of them.
+/// The knots around one step, and the sums up to the first of them.
 #[derive(Clone, Copy)]
 pub(crate) struct WindView<'a> {
     velocity: &'a [LaneVec2],
@@ -274,54 +296,20 @@ pub(crate) struct WindView<'a> {
     spacing: f64,
     start: f64,
     base: usize,
-    sums: &'a [LaneVec2; 2],
+    sums: &'a Sums,
 }
 
-/// A walk along the knots: running sums of the wind from the base on.
-///
-/// With `A = Σ W_j` up to the present knot and `B = Σ A` up to the knot before,
-/// `∫W = A − (W_0 + W_n)/2` and `∬W = B − nW_0/2 + (W_n − W_0)/6` in units of the spacing: two
-/// additions a knot.
+/// A walk along the knots: two additions a knot.
 pub(crate) struct Walk<'a> {
     view: WindView<'a>,
     knot: usize,
-    sum: LaneVec2,
-    sum_of_sums: LaneVec2,
-    /// The same of the excess: its sum before the present knot, and the sum of those before.
-    excess: LaneVec2,
-    excess_sums: LaneVec2,
+    sums: Sums,
 }
 
 impl<'a> WindView<'a> {
     #[inline(always)]
     pub(crate) fn walk(self) -> Walk<'a> {
-        Walk {
-            view: self,
-            knot: self.base,
-            sum: self.velocity[self.base],
-            sum_of_sums: [Lanes::ZERO; 2],
-            excess: [Lanes::ZERO; 2],
-            excess_sums: [Lanes::ZERO; 2],
-        }
-    }
-
-    /// ∫W and ∬W over the part `u` of an interval, in units of the spacing.
-    #[inline(always)]
-    fn within(&self, knot: usize, u: f64) -> (LaneVec2, LaneVec2) {
-        let (w, v) = (&self.velocity[knot], &self.velocity[knot + 1]);
-        let mut single = [Lanes::ZERO; 2];
-        let mut double = [Lanes::ZERO; 2];
-        for k in 0..2 {
-            single[k] = w[k] * (u * (1.0 - 0.5 * u)) + v[k] * (0.5 * u * u);
-            double[k] = w[k] * (u * u * (0.5 - u / 6.0)) + v[k] * (u * u * u / 6.0);
-        }
-        if let Some(e) = self.excess.get(knot) {
-            for k in 0..2 {
-                single[k] += e[k] * (u * u * (3.0 - 2.0 * u));
-                double[k] += e[k] * (u * u * u * (1.0 - 0.5 * u));
-            }
-        }
-        (single, double)
+        Walk { view: self, knot: self.base, sums: *self.sums }
     }
 
     /// Upper bound of the wind's speed from the base to time `t`.
@@ -341,26 +329,6 @@ impl<'a> WindView<'a> {
 }
 
 impl Walk<'_> {
-    /// Sums from the base to the present knot.
-    #[inline(always)]
-    fn to_knot(&self) -> [LaneVec2; 2] {
-        let n = (self.knot - self.view.base) as f64;
-        let (first, last) = (&self.view.velocity[self.view.base], &self.view.velocity[self.knot]);
-        let mut sums = [[Lanes::ZERO; 2]; 2];
-        for k in 0..2 {
-            sums[0][k] = self.sum[k] - (first[k] + last[k]) * 0.5;
-            sums[1][k] =
-                self.sum_of_sums[k] - first[k] * (0.5 * n + 1.0 / 6.0) + last[k] * (1.0 / 6.0);
-        }
-        if !self.view.excess.is_empty() {
-            for k in 0..2 {
-                sums[0][k] += self.excess[k];
-                sums[1][k] += self.excess_sums[k] + self.excess[k] * 0.5;
-            }
-        }
-        sums
-    }
-
     /// Goes on to the knot before `t`, which is not before the last one asked for, and gives the
     /// place in its interval.
     #[inline(always)]
@@ -368,54 +336,46 @@ impl Walk<'_> {
         let view = &self.view;
         let place = (t - view.start) / view.spacing;
         let target = (place as usize).min(view.velocity.len() - 2);
+        let [single, double] = &mut self.sums;
         while self.knot < target {
+            let next = &view.velocity[self.knot + 1];
+            for k in 0..2 {
+                double[k] += single[k];
+                single[k] += next[k];
+            }
             if let Some(e) = view.excess.get(self.knot) {
                 for k in 0..2 {
-                    self.excess_sums[k] += self.excess[k];
-                    self.excess[k] += e[k];
+                    double[k] = e[k].mul_add(0.5, double[k]);
+                    single[k] += e[k];
                 }
             }
             self.knot += 1;
-            let w = &view.velocity[self.knot];
-            for k in 0..2 {
-                self.sum_of_sums[k] += self.sum[k];
-                self.sum[k] += w[k];
-            }
         }
         place - self.knot as f64
     }
 
-    /// `factor·∬W` from the release to time `t`, not before the last one asked for: the sums to
-    /// the knot and the integrals inside its interval, with like terms put together.
+    /// `onto + factor·∬W` from the release to time `t`, not before the last one asked for.
     #[inline(always)]
-    pub(crate) fn double_integral(&mut self, t: f64, factor: f64) -> LaneVec2 {
+    pub(crate) fn double_integral(&mut self, t: f64, factor: f64, onto: LaneVec2) -> LaneVec2 {
         let u = self.go_to(t);
         let view = &self.view;
-        let n = (self.knot - view.base) as f64;
-        let (first, last) = (&view.velocity[view.base], &view.velocity[self.knot]);
-        let next = &view.velocity[self.knot + 1];
-        let of_first = -(0.5 * (n + u) + 1.0 / 6.0);
-        let of_last = 1.0 / 6.0 - 0.5 * u + u * u * (0.5 - u / 6.0);
-        let of_next = u * u * u / 6.0;
+        let (last, next) = (&view.velocity[self.knot], &view.velocity[self.knot + 1]);
         let factor = factor * view.spacing * view.spacing;
-        let mut double = [Lanes::ZERO; 2];
+        let of_last = factor * (1.0 - u).powi(3) / 6.0;
+        let of_next = factor * u * u * u / 6.0;
+        let [single, double] = &self.sums;
+        let mut sum = onto;
         for k in 0..2 {
-            double[k] = view.sums[1][k]
-                + view.sums[0][k] * (n + u)
-                + self.sum_of_sums[k]
-                + self.sum[k] * u
-                + first[k] * of_first
-                + last[k] * of_last
-                + next[k] * of_next;
+            sum[k] = next[k].mul_add(of_next, last[k].mul_add(of_last, sum[k]));
+            sum[k] = double[k].mul_add(factor, single[k].mul_add(factor * u, sum[k]));
         }
         if let Some(e) = view.excess.get(self.knot) {
+            let of_excess = factor * u * u * u * (1.0 - 0.5 * u);
             for k in 0..2 {
-                double[k] += self.excess_sums[k]
-                    + self.excess[k] * (0.5 + u)
-                    + e[k] * (u * u * u * (1.0 - 0.5 * u));
+                sum[k] = e[k].mul_add(of_excess, sum[k]);
             }
         }
-        [double[0] * factor, double[1] * factor]
+        sum
     }
 
     /// `∫W` from the release to time `t`, not before the last one asked for.
@@ -423,26 +383,24 @@ impl Walk<'_> {
     pub(crate) fn integral(&mut self, t: f64) -> LaneVec2 {
         let u = self.go_to(t);
         let view = &self.view;
-        let [single, _] = self.to_knot();
-        let (within, _) = view.within(self.knot, u);
-        let mut out = [Lanes::ZERO; 2];
+        let (last, next) = (&view.velocity[self.knot], &view.velocity[self.knot + 1]);
+        let mut sum = self.sums[0];
         for k in 0..2 {
-            out[k] = (view.sums[0][k] + single[k] + within[k]) * view.spacing;
+            sum[k] =
+                next[k].mul_add(0.5 * u * u, last[k].mul_add(-0.5 * (1.0 - u).powi(2), sum[k]));
         }
-        out
+        if let Some(e) = view.excess.get(self.knot) {
+            for k in 0..2 {
+                sum[k] = e[k].mul_add(u * u * (3.0 - 2.0 * u), sum[k]);
+            }
+        }
+        [sum[0] * view.spacing, sum[1] * view.spacing]
     }
 
-    /// The present knot, and the integrals from the release to it.
+    /// The present knot, and its sums.
     #[inline(always)]
-    pub(crate) fn end(&self) -> (usize, [LaneVec2; 2]) {
-        let n = (self.knot - self.view.base) as f64;
-        let [single, double] = self.to_knot();
-        let mut sums = *self.view.sums;
-        for k in 0..2 {
-            sums[1][k] += sums[0][k] * n + double[k];
-            sums[0][k] += single[k];
-        }
-        (self.knot, sums)
+    pub(crate) fn end(&self) -> (usize, Sums) {
+        (self.knot, self.sums)
     }
 }
 
@@ -499,7 +457,9 @@ mod tests {
                 let (single, double) = path.integrals(t);
                 let (single, double) = (single - single0, double - double0 - single0 * t);
                 near(lane(&walk.integral(t), place), single);
-                near(lane(&walk.double_integral(t, 1.7), place), double * 1.7);
+                let from = [Lanes::splat(0.3), Lanes::splat(-0.2)];
+                let moved = lane(&walk.double_integral(t, 1.7, from), place);
+                near(moved, double * 1.7 + Vec2::new(0.3, -0.2));
                 let stretch = wind.stretch(end, place);
                 near(stretch.velocity(t), path.velocity(t));
                 near(stretch.integral(t), single);

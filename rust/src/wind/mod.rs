@@ -17,7 +17,7 @@ use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::error::{DriftError, positive};
+use crate::error::{DriftError, positive, product, room};
 use crate::field::Vec2;
 use bootstrap::{Bootstrap, Chain, Scratch};
 use hand_over::HandOver;
@@ -32,6 +32,12 @@ enum Stream {
     FinePath = 2,
     Jibes = 3,
 }
+
+/// A century of tides has 70,000, and each a hundred knots.
+const MOST_KNOTS: f64 = 2e7;
+
+/// Streams are numbered by four times the member.
+pub(crate) const MOST_MEMBERS: u64 = 1 << 62;
 
 /// Generator keyed by (seed, member, stream): no member's numbers depend on another's.
 fn stream(seed: u64, member: u64, stream: Stream) -> ChaCha8Rng {
@@ -168,6 +174,9 @@ impl Synoptic {
         seed: u64,
         member: u64,
     ) -> Result<Self, DriftError> {
+        if member >= MOST_MEMBERS {
+            return Err(DriftError::invalid("member", member, "members are numbered to 2⁶²"));
+        }
         let mut rng = stream(seed, member, Stream::Synoptic);
         let Some(hand_over) = &beginning.hand_over else {
             let chain = bootstrap.start(beginning.phase, &mut rng)?;
@@ -247,8 +256,8 @@ impl WindGenerator {
 
     /// The wind of one member, ready to be drawn from `−lead_in` steps on.
     pub(crate) fn member(&self, seed: u64, member: u64) -> Result<MemberWind, DriftError> {
-        let mut coarse = stream(seed, member, Stream::SmallScale);
         let synoptic = Synoptic::start(&self.bootstrap, &self.beginning, seed, member)?;
+        let mut coarse = stream(seed, member, Stream::SmallScale);
         Ok(MemberWind {
             slow: self.bootstrap.wind(&synoptic.chain) / self.unit,
             fast: self.small_scale.start(&mut coarse),
@@ -306,11 +315,16 @@ impl WindGenerator {
         end: f64,
         sampling: Sampling,
     ) -> Result<WindPath, DriftError> {
-        let steps = self.lead_in + (end / self.step - 1e-9).ceil().max(1.0) as usize;
-        let start = -(self.lead_in as f64) * self.step;
         let (spacing, substeps) = self.knots(sampling);
+        let steps = self.lead_in as f64 + (end / self.step - 1e-9).ceil().max(1.0);
+        if steps.is_nan() || steps * substeps as f64 > MOST_KNOTS {
+            let accepted = format!("a wind path has at most {MOST_KNOTS} knots");
+            return Err(DriftError::invalid("end of the wind path", end, accepted));
+        }
+        let steps = steps as usize;
+        let start = -(self.lead_in as f64) * self.step;
         let mut wind = self.member(seed, member)?;
-        let mut velocity = Vec::with_capacity(steps * substeps + 1);
+        let mut velocity = room("wind path", steps * substeps + 1)?;
         let mut scratch = Scratch::default();
         let integrals: Vec<Vec2> = (0..steps)
             .map(|_| self.draw(&mut wind, sampling, &mut velocity, &mut scratch))
@@ -352,7 +366,9 @@ pub fn sample(
     beginning: impl Into<Beginning>,
 ) -> Result<SynopticSample, DriftError> {
     let beginning = &beginning.into();
-    let mut sample = SynopticSample::default();
+    let count = product("members", &[(members.end - members.start) as usize, steps])?;
+    let mut sample =
+        SynopticSample { wind: room("members", count)?, predecessor: room("members", count)? };
     let mut scratch = Scratch::default();
     for member in members {
         let mut synoptic = Synoptic::start(bootstrap, beginning, seed, member)?;

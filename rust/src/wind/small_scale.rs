@@ -26,6 +26,9 @@ pub struct SmallScale {
     gain: Vec<Vector2<f64>>,
 }
 
+/// What is worked out beforehand takes a time that grows with the square of them: a second.
+const MOST_SUBSTEPS: usize = 4096;
+
 impl SmallScale {
     /// Process of standard deviation `sd` and memory `memory` (the time in which the correlation
     /// falls to 1/e), with `substeps` fine steps in one coarse step of length `step`.
@@ -35,8 +38,9 @@ impl SmallScale {
         }
         positive("small-scale memory", memory)?;
         positive("synoptic step", step)?;
-        if substeps == 0 {
-            return Err(DriftError::invalid("substeps", substeps, "it must be at least 1"));
+        if !(1..=MOST_SUBSTEPS).contains(&substeps) {
+            let accepted = format!("it must be from 1 to {MOST_SUBSTEPS}");
+            return Err(DriftError::invalid("substeps", substeps, accepted));
         }
         let fine_step = step / substeps as f64;
         let a = (-fine_step / memory).exp();

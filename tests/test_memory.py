@@ -1,0 +1,132 @@
+"""What does not fit into memory is refused before it is made, by the argument that asks for it."""
+
+import re
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+import driftcore as dc
+from driftcore import _core, memory
+
+SCENARIO = dc.paper.scenario(epsilon=0.1)
+CALM = dc.WindPath([-1.0, 2.0], np.zeros((2, 2)))
+NUMBERS = np.broadcast_to(0.5, 10**12)
+
+
+def fitted() -> dc.LocalGridBootstrap:
+    return dc.paper.default_wind()
+
+
+def release() -> Any:
+    pytest.importorskip("shapely")
+    return dc.GeographicScenario(
+        dc.Release.point(-4.1, 47.2, "2026-07-01"), 10, dc.FloatingBody(response_time_h=1.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("field", "ask"),
+    [
+        ("times", lambda: dc.trajectory(SCENARIO, CALM, model="full", times=NUMBERS)),
+        ("times", lambda: dc.trajectory(SCENARIO, CALM, model="full", times=range(10**12))),
+        ("times", lambda: dc.forecast(SCENARIO, [CALM], times=NUMBERS)),
+        ("keep", lambda: dc.forecast(SCENARIO, members=10**8, keep=10**8, times=np.ones(5000))),
+        ("members", lambda: fitted().sample(10**12, 10, 1)),
+        ("members", lambda: fitted().sample(10, 10**12, 1)),
+        ("velocity", lambda: dc.WindPath([0.0, 1.0], np.broadcast_to(0.0, (10**12, 2)))),
+        ("velocity", lambda: dc.WindPaths([0.0, 1.0], np.broadcast_to(0.0, (10**12, 2, 2)))),
+        ("threads", lambda: full_map().core(np.linspace(0, 1, 3), 1024)),
+        (
+            "times",
+            lambda: dc.forecast(
+                release(), [CALM], times=np.broadcast_to(np.datetime64("2026-07-02"), 10**12)
+            ),
+        ),
+    ],
+)
+def test_refused_with_what_it_takes_and_what_there_is(field: str, ask: Any) -> None:
+    start = time.process_time()
+    with pytest.raises(dc.ScenarioError, match=rf"^{field}: .* are not accepted; ") as caught:
+        ask()
+    wanted, free = map(float, re.findall(r"([\d.e+]+) GB", str(caught.value)))
+    assert wanted > free
+    assert free == pytest.approx(memory.available() / 1e9, rel=0.5)
+    assert time.process_time() - start < 3
+
+
+def full_map() -> dc.MapGrid:
+    """As many values as a map may hold."""
+    edges = tuple(float(k) for k in range(10_001))
+    return dc.MapGrid(x=edges, y=edges, times=(1.0,))
+
+
+def test_a_map_of_a_million_by_a_million_cells() -> None:
+    edges = tuple(float(k) for k in range(1_000_001))
+    with pytest.raises(dc.ScenarioError, match=r"1000000 x 1000000 cells .* 8e\+03 GB, at most 1e"):
+        dc.MapGrid(x=edges, y=edges, times=(1.0,))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[ensemble]\nkeep = 100000\nmembers = 100000\noutputs_per_tide = 1e6", "ensemble.keep: "),
+        ("[ensemble]\nkeep = 0\noutputs_per_tide = 1e12", "ensemble.keep: 0 is not accepted"),
+        ("[scenario]\nduration = 1e9", "scenario.epsilon: "),
+        ("[ensemble]\nmembers = 1000000000", "ensemble.members: "),
+    ],
+)
+def test_a_scenario_that_asks_for_too_much(text: str, told: str) -> None:
+    with pytest.raises(dc.ScenarioError, match=told):
+        dc.RunConfiguration.from_toml(text)
+
+
+@pytest.mark.parametrize(
+    ("told", "ask"),
+    [
+        ("map cells", lambda: maps(10**6, 10**6)),
+        ("map cells", lambda: maps(2**40, 2**40)),
+        ("threads: 100000000 ", lambda: maps(5, 5, 10**8)),
+        ("members", lambda: fitted().core.sample(10**12, 10, 1)),
+        ("members", lambda: fitted().core.sample(2**63, 2**63, 1)),
+        ("member", lambda: fitted().core.sample(5, 5, 1, 2**64 - 1)),
+        ("count", lambda: fitted().core.draws_at(np.zeros(4), 2**62, 1)),
+        ("substeps", lambda: generator(10**9, 0)),
+        ("end of the wind path", lambda: generator(1, 0).path(1, 0, 1e18)),
+        ("end of the wind path", lambda: generator(1, 2**62).path(1, 0, 1.0)),
+        ("times", lambda: paths().velocity(4, np.broadcast_to(0.5, 10**12))),
+    ],
+)
+def test_the_core_refuses_instead_of_giving_up(told: str, ask: Any) -> None:
+    with pytest.raises(ValueError, match=told):
+        ask()
+
+
+def maps(columns: int, rows: int, threads: int = 1) -> _core.Maps:
+    instants = np.array([0.5, 1.0])
+    return _core.Maps((0.0, 1.0, columns), (0.0, 1.0, rows), instants, instants, threads)
+
+
+def generator(substeps: int, lead_in: int) -> _core.WindGenerator:
+    return _core.WindGenerator(fitted().core, 0.01, 3.0, 0.1, 0.01, substeps, lead_in)
+
+
+def paths() -> _core.WindPaths:
+    return _core.WindPaths(0.0, 1.0, np.zeros((4, 2, 2)))
+
+
+@pytest.mark.parametrize("tide", [1e-3, 0.1, 1e6])
+def test_a_tide_that_no_record_resolves(tide: float) -> None:
+    scenario = SCENARIO.replace(tide_period_h=tide, duration=1e-4)
+    with pytest.raises(
+        dc.ScenarioError, match=r"tide_period_h: .* with a wind every 6 h it should"
+    ):
+        dc.forecast(scenario, members=2)
+
+
+def test_small_things_are_made_without_a_look_at_the_system(monkeypatch: Any) -> None:
+    monkeypatch.setattr(memory, "available", lambda: 0.0)
+    memory.require_room("members", 1000, 8, "members")
+    with pytest.raises(dc.ScenarioError, match=r"members: 1e\+07 members are .* 0.08 GB, 0 GB are"):
+        memory.require_room("members", 10**7, 8, "members")
