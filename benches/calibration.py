@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 import driftcore as dc
-from driftcore import hindcast, plot, verification
+from driftcore import drawing, hindcast, plot, verification
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreWarning
 from driftcore.hand_over import HandOver
@@ -267,8 +267,8 @@ def main() -> None:
 def draw(found: dict[str, Any], skills: dict[str, Any], folder: Path) -> None:
     """Draw the three figures."""
     width = len(found)
-    diagrams = plot._figure((7.0, 7.0 / width + 0.55))
-    ranks = plot._figure((7.0, 2.6))
+    diagrams = drawing.new_figure((7.0, 7.0 / width + 0.55))
+    ranks = drawing.new_figure((7.0, 2.6))
     for k, (panels, function) in enumerate(
         ((diagrams, plot.reliability_diagram), (ranks, plot.pit_histogram))
     ):
@@ -281,16 +281,16 @@ def draw(found: dict[str, Any], skills: dict[str, Any], folder: Path) -> None:
             words = f"{attrs['independent']} summers, {attrs['cases']:,} cases, p = "
             axes.set_title(
                 "\n".join([*name.split(", "), f"{words}{attrs['p_value']:.2f}"]),
-                fontsize=plot._SMALL,
+                fontsize=drawing.SMALL,
             )
             axes.label_outer()
     figures = {"reliability": diagrams, "pit": ranks, "hand_over_skill": skill_figure(skills)}
-    plot._save(figures, folder, overwrite=True)
+    drawing.save_figures(figures, folder, overwrite=True)
 
 
 def skill_figure(skills: dict[str, Any]) -> Any:
     """Draw wind and drift side by side."""
-    curves = plot._figure((7.0, 3.0))
+    curves = drawing.new_figure((7.0, 3.0))
     panels = curves.subplots(1, 2, sharey=True)
     for axes, title, k in zip(panels, ("10 m wind", "drift position"), (0, 1), strict=True):
         plot.score_ratios(
@@ -300,9 +300,11 @@ def skill_figure(skills: dict[str, Any]) -> Any:
             axes,
         )
         axes.axvline(HORIZON / 4, color="0.5", linewidth=0.8, linestyle=":")
-        axes.text(HORIZON / 4 - 0.2, 1.09, "horizon", ha="right", fontsize=plot._SMALL, color="0.3")
+        axes.text(
+            HORIZON / 4 - 0.2, 1.09, "horizon", ha="right", fontsize=drawing.SMALL, color="0.3"
+        )
         axes.set(ylim=(0, 1.2), xticks=np.arange(0, 21, 5))
-        axes.set_title(title, fontsize=plot._TITLE)
+        axes.set_title(title, fontsize=drawing.TITLE)
         axes.label_outer()
     return curves
 

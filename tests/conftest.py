@@ -7,6 +7,7 @@ import pytest
 from hypothesis import settings
 
 import driftcore as dc
+from driftcore.climate import synthetic_record
 
 # The gate gives the same verdict twice; the slow profile looks elsewhere each time.
 settings.register_profile("fast", max_examples=25, deadline=None, derandomize=True)
@@ -29,3 +30,9 @@ def belle_ile_csv() -> Path:
 def embedded_wind() -> dc.LocalGridBootstrap:
     """The embedded synthetic climate, fitted."""
     return dc.paper.default_wind()
+
+
+@pytest.fixture(scope="session")
+def small_wind() -> dc.LocalGridBootstrap:
+    """A wind of few summers and a given bandwidth, fitted at once: for figures and files."""
+    return dc.LocalGridBootstrap.fit(synthetic_record(3), h=0.3)

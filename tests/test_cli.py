@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -189,13 +189,15 @@ def test_forecast_of_failed_members_is_told(driftcore: Command) -> None:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ([], ["demo", "new", "check", "run", "objects", "info", "plot", "validate"]),
+        ([], ["demo", "new", "check", "run", "objects", "info", "plot", "animate", "export"]),
         (["demo"], ["--members", "--seed", "--print-scenario", "--output"]),
         (["run"], ["SCENARIO", "--output", "--json", "--quiet", "--overwrite", "--threads"]),
         (["new"], ["FILE", "--release", "LON LAT TIME", "--paper", "--object", "--wind"]),
         (["check"], ["SCENARIO", "--threads", "--json"]),
         (["objects"], ["WORD"]),
         (["info"], ["FORECAST", "--json"]),
+        (["animate"], ["FORECAST", "--output", "--fps", "--frames", "--coast", "ffmpeg"]),
+        (["export"], ["FORECAST", "--output", "--format", ".gpkg", "opendrift"]),
         (["plot"], ["FORECAST", "--output"]),
         (["validate"], ["--output", "--record", "--months", "Exit code 1"]),
     ],
@@ -392,6 +394,102 @@ def test_info_says_what_is_in_a_forecast(driftcore: Command) -> None:
     assert all(word in shown.out for word in ("CONTAINER-2", "stretches", "47.2000 N 4.1000 W"))
     told = json.loads(driftcore("info", "sea.nc", "--json").out)
     assert told["stranding_probability"] == opened.stranding_probability().estimate
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"), [("driftcore ani", "animate"), ("driftcore export a.nc --fo", "--format")]
+)
+def test_a_shell_is_told_how_to_go_on(words: str, answer: str) -> None:
+    told = subprocess.run(
+        [sys.executable, "-c", "from driftcore.cli import main; main()"],
+        env={
+            **os.environ,
+            "_DRIFTCORE_COMPLETE": "complete_bash",
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(words.count(" ")),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stdout.split() == [answer]
+
+
+def test_animate_and_export_list_what_they_wrote(driftcore: Command) -> None:
+    driftcore("run", write(SMALL), "-o", "out.nc", "-q")
+    film = driftcore("animate", "out.nc", "-o", "f.gif", "--frames", 2, "--json")
+    assert (film.code, json.loads(film.out), film.err) == (0, {"files": ["f.gif"]}, "")
+    assert Path("f.gif").read_bytes()[:4] == b"GIF8"
+    assert driftcore("export", "out.nc", "-o", "f.csv") == (0, "wrote f.csv\n", "")
+    assert len(pd.read_csv("f.csv")) == 3
+    with unchanged():
+        refused(driftcore("animate", "out.nc", "-o", "f.gif"), "f.gif: exists", "--overwrite")
+        refused(driftcore("animate", "out.nc", "-o", "g.gif", "--kind", "x"), "kind: 'x'")
+        refused(driftcore("animate", "out.nc", "-o", "g.avi"), "ends in .gif or .mp4")
+        refused(driftcore("export", "out.nc", "-o", "g.gpkg"), "the paper's plane")
+        refused(driftcore("export", "out.nc", "-o", "g.nc", "--format", "x"), "format: 'x'")
+
+
+def test_results_as_json(driftcore: Command) -> None:
+    told = json.loads(driftcore("demo", "--members", 4, "-o", "demo", "--json").out)
+    assert told["stranded"] + told["afloat"] == 4
+    assert {Path(file).name for file in told["files"]} == names("demo")
+    told = json.loads(driftcore("plot", "demo/demo.nc", "-o", "f", "--json").out)
+    assert {Path(file).name for file in told["files"]} == FIGURES
+    found = json.loads(driftcore("objects", "container", "--json").out)
+    assert "CONTAINER-2" in {one["key"] for one in found}
+
+
+def test_check_draws_what_is_set_up(driftcore: Command) -> None:
+    scenario = own_case(driftcore)
+    assert driftcore("check", scenario, "--plot", "a.png").out.endswith("wrote a.png\n")
+    assert driftcore("check", write(SMALL), "--plot", "b.png", "-q").code == 0
+    for name in ("a.png", "b.png"):
+        assert Path(name).read_bytes()[1:4] == b"PNG"
+    with unchanged():
+        refused(driftcore("check", scenario, "--plot", "a.png"), "a.png: exists")
+        refused(driftcore("check", scenario, "--plot", "a.pdf"), "ends in .png")
+
+
+def test_plot_draws_the_stretches_of_the_scenario(driftcore: Command) -> None:
+    driftcore("run", own_case(driftcore), "-o", "out.nc", "-q")
+    assert driftcore("plot", "out.nc", "-o", "f").code == 0
+    assert {"stretches.png", "coast.png"} <= names("f")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it takes a Unix terminal")
+def test_new_asks_in_a_terminal_and_nowhere_else(driftcore: Command) -> None:
+    import pty
+
+    def in_terminal(answers: str, *arguments: str) -> str:
+        ours, theirs = pty.openpty()
+        command = [sys.executable, "-c", "from driftcore.cli import main; main()", *arguments]
+        process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs)  # noqa: S603
+        os.close(theirs)
+        os.write(ours, answers.encode())
+        said = b""
+        with suppress(OSError):  # the terminal's end
+            while chunk := os.read(ours, 4096):
+                said += chunk
+        assert process.wait(60) == 0, said
+        os.close(ours)
+        return said.decode()
+
+    # A wrong object is told, and everything asked again.
+    wrong = "-5.5\n\n\n20\nRAFT\n\n\n\n"
+    said = in_terminal(wrong + "-5.5\n\n\n20\nPIW-1\n\nnone\n\n", "new", "a.toml")
+    assert "Longitude of the release" in said
+    assert "object.category: 'RAFT'" in said
+    made = dc.GeographicConfiguration.from_toml(Path("a.toml"))
+    assert made.release is not None
+    assert made.release.coordinates == (((-5.5, 47.2),),)
+    assert (made.days, made.tides, made.wind.record) == (20.0, None, "embedded")
+    # Enter takes what is proposed: what is written where nobody can be asked.
+    assert "[60.0]" in in_terminal(8 * "\n", "new", "b.toml")
+    assert "wrote c.toml" in in_terminal("", "new", "c.toml", "--defaults")
+    assert driftcore("new", "d.toml") == (0, "wrote d.toml\n", "")
+    texts = {Path(f"{name}.toml").read_text(encoding="utf-8") for name in "bcd"}
+    assert len(texts) == 1
 
 
 # Refusals

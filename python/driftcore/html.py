@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator
 from html import escape
 from typing import TYPE_CHECKING
 
-from driftcore.dataset import is_geographic, wind_label
+from driftcore.dataset import is_geographic
+from driftcore.words import how, set_up
 
 if TYPE_CHECKING:
     from driftcore.forecast import Forecast
@@ -40,14 +41,11 @@ def forecast_table(forecast: Forecast) -> str:
 
 
 def _of_forecast(forecast: Forecast) -> Iterator[tuple[str, object]]:
-    attributes = forecast.dataset.attrs
-    yield "scenario", attributes.get("scenario", "drift")
-    unit = 1.0
+    attributes, unit = forecast.dataset.attrs, forecast.days_per_unit
+    yield from ((name, text) for name, text in set_up(forecast) if name != "scaling")
     if is_geographic(forecast.dataset):
         yield "run", f"{attributes['days']:g} days from {_minute(attributes['start'])} UTC"
-        yield "release", attributes["release"]
     else:
-        unit = attributes["tide_period_h"] / attributes["epsilon"] / 24
         yield "run", f"{attributes['duration'] * unit:.1f} days"
     members = ", ".join(f"{n:,} {name}" for name, n in forecast.counts.items() if n)
     yield "members", members.replace("_", " ")
@@ -59,9 +57,7 @@ def _of_forecast(forecast: Forecast) -> Iterator[tuple[str, object]]:
         for target in forecast.dataset.get("target", ()):
             name = str(target.item())
             yield f"enters {name}", f"{forecast.entry_probability(name)}"
-    order = f", order {attributes['order']}" if "order" in attributes else ""
-    yield "model", f"{attributes['model']}{order}, seed {attributes['seed']}"
-    yield "wind", wind_label(forecast.dataset)
+    yield from how(forecast)
 
 
 def scenario_table(scenario: Scenario | GeographicScenario) -> str:

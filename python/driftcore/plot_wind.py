@@ -275,7 +275,13 @@ def wind_law(
     label_axes(memory, "lag [days]", "autocorrelation of u and v")
     for axes in (speeds, sectors, changes, memory):
         faint_grid(axes)
-    add_legend(speeds, loc="lower left")
+    figure.legend(
+        *speeds.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=2,
+        fontsize=SMALL,
+        frameon=False,
+    )
     add_legend(memory, loc="upper right")
     fitted = f"h = {wind.h:.3g}" + ("" if wind.b is None else f", b = {wind.b:.3g}")
     words = f"{record.describe()}; mode {wind.mode}, {fitted}"
