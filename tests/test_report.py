@@ -196,7 +196,7 @@ def test_it_stays_small(plane: dc.Forecast, tmp_path: Path) -> None:
     arrived = np.concatenate([present, present[:1]])
     nobody = np.zeros(20, dtype=np.uint32)
     many = plane.dataset.isel(member=np.arange(members) % 80).drop_vars("member")
-    many = with_maps(many, maps, [present.ravel(), arrived.ravel(), nobody, nobody], members)
+    many = with_maps(many, maps, [present.ravel(), arrived.ravel(), nobody, nobody])
     page = written(dc.Forecast(many.assign_coords(member=np.arange(members))), tmp_path)
     assert len(page.encode()) < 5e6
     scene = scene_of(page)
