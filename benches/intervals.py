@@ -114,13 +114,14 @@ def real_members(effort: Effort) -> str:
 def two_levels_by_law(effort: Effort) -> str:
     """Coverage of (50) where the probabilities of all outcomes are known."""
     random = np.random.default_rng(1)
+    replicates = effort.replicates // 4
     rows = []
     for members, pairs in ((10_000, 300), (100_000, 1_000)):
         for p in PROBABILITIES:
             for gained, lost in ((0, 0), (1e-3, 0), (2e-3, 2e-3), (0.01, 0.005), (0.1, 0.015)):
                 cells = [p - lost, lost, gained, 1 - p - gained]
-                seen = random.multinomial(pairs, cells, size=effort.replicates)
-                rest = random.binomial(members - pairs, p, size=effort.replicates)
+                seen = random.multinomial(pairs, cells, size=replicates)
+                rest = random.binomial(members - pairs, p, size=replicates)
                 held = width = 0.0
                 for (both, l, g, _), more in zip(seen, rest, strict=True):  # noqa: E741
                     found = combined_probability(
@@ -138,8 +139,8 @@ def two_levels_by_law(effort: Effort) -> str:
                         f"{gained:g}",
                         f"{lost:g}",
                         f"{(1 - gained - lost) ** pairs:.2f}",
-                        percent(held / effort.replicates),
-                        f"{width / effort.replicates / normal:.2f}",
+                        percent(held / replicates),
+                        f"{width / replicates / normal:.2f}",
                     ]
                 )
     return table(

@@ -27,6 +27,7 @@ def opened(browser: Browser, report: Path, stop: str = STOP, **options: object) 
     page.goto(report.as_uri())
     page.wait_for_selector("html[data-ready]", state="attached")
     page.fill("#time", stop)
+    page.evaluate("document.activeElement.blur()")
     page.wait_for_timeout(1000)  # charts are drawn a little later
     return page
 

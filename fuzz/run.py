@@ -33,7 +33,7 @@ import driftcore as dc
 
 # Of processor time [s], and by the clock where a case waits for what never comes.
 SECONDS = 10
-WAITING = 120
+WAITING = 600
 # Beyond what the interpreter has with all libraries loaded.
 MEMORY = 2 * 1024**3
 # What a check of driftcore's own would have named, where it is raised in driftcore itself.
@@ -150,9 +150,12 @@ def run(
         at, done, accepted = struct.unpack("qqq", shared)
         if os.WIFSIGNALED(status):
             ended_by = signal.Signals(os.WTERMSIG(status))
-            hang = ended_by in (signal.SIGPROF, signal.SIGALRM)
-            what = f"over {SECONDS} s" if hang else f"process ended by {ended_by.name}"
-            _keep(target, seed, at, folder, f"{what} {at if hang else ''}".strip())
+            hangs = {
+                signal.SIGPROF: f"worked over {SECONDS} s {at}",
+                signal.SIGALRM: f"waited over {WAITING} s {at}",
+            }
+            what = hangs.get(ended_by, f"process ended by {ended_by.name}")
+            _keep(target, seed, at, folder, what)
             at, done = at + 1, done + 1
             struct.pack_into("qqq", shared, 0, at, done, accepted)
     _, done, accepted = struct.unpack("qqq", shared)

@@ -150,7 +150,11 @@ def test_stretches_sum_up_what_strands(folder: Path) -> None:
     assert isinstance(forecast, dc.GeographicForecast)
     coast = configured(WHOLE).stretches(folder)
     assert coast is not None
-    found = forecast.stranding_by_stretch(coast)["probability"]
+    table = forecast.stranding_by_stretch(coast)
+    found = table["probability"]
+    when = table.sel(quantile=0.5, stretch="north")
+    assert when["time_low"] < when["time_quantile"] < when["time_high"]
+    assert table["time_low"].dims == table["time_high"].dims == ("quantile", "stretch")
     assert found["stretch"].values.tolist() == ["north", "the south", "elsewhere"]
     assert found.sum() == pytest.approx(forecast.stranding_probability().estimate)
     assert found.sel(stretch="north") > found.sel(stretch="the south")

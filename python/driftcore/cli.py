@@ -54,9 +54,9 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as cause:
-            ended = isinstance(cause, Terminated) or isinstance(cause.__context__, Terminated)
-            told = f"{'terminated' if ended else 'interrupted'}; nothing was written"
-            err.print(escape(str(cause) or told))
+            ended = isinstance(cause, Terminated)
+            left = str(cause) or "nothing was written"
+            err.print(f"{'terminated' if ended else 'interrupted'}; {escape(left)}", soft_wrap=True)
             raise typer.Exit(143 if ended else 130) from None
 
 
@@ -212,11 +212,9 @@ def run(
 
                     how["client"] = stack.enter_context(connected(scheduler, workers))
                 forecast = _run(configuration, folder, threads, quiet_bar, store=output, **how)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"interrupted; what is finished is kept: driftcore run {scenario} -o {output} "
-                "--resume"
-            ) from None
+        except KeyboardInterrupt as cause:
+            again = f"driftcore run {scenario} -o {output} --resume"
+            raise type(cause)(f"what is finished is kept: {again}") from None
     else:
         for name, value in {
             "resume": resume,
@@ -511,7 +509,7 @@ def plot(
             from driftcore import plot_map
             from driftcore.coast import LandCoast
 
-            land = LandCoast.from_file(coast) if coast is not None else _coast(opened)
+            land = _own_coast(opened) if coast is None else LandCoast.from_file(coast)
             land = land or LandCoast.default()
             written = plot_map.save_all(dataset, folder, land)
         else:
@@ -744,26 +742,28 @@ def _attributes(forecast: Forecast) -> dict[str, Any]:
     }
 
 
-def _coast(forecast: Any) -> LandCoast | None:
-    """Coast of a run on the real sea, with its stretches."""
+def _own_coast(forecast: Forecast) -> LandCoast | None:
+    """Coast of a run on the real sea, with its stretches, if its file is still there."""
+    from driftcore.geographic_forecast import GeographicForecast
+
+    if not isinstance(forecast, GeographicForecast):
+        return None
     try:
-        coast: LandCoast | None = forecast.coast()
+        return forecast.coast()
     except DriftCoreError as error:
         # The forecast outlives the files it was made from.
-        _say("yellow", "warning", f"no stretches of the coast: {error}")
+        _say("yellow", "warning", f"its coast cannot be read: {error}")
         return None
-    return coast
 
 
 def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     """Probabilities by stretch of the coast, the greatest first, where it is divided."""
     from driftcore.geographic_forecast import GeographicForecast
 
-    if not isinstance(forecast, GeographicForecast) or not forecast.followed:
+    coast = _own_coast(forecast)
+    if coast is None or not coast.stretches or not forecast.followed:
         return []
-    coast = _coast(forecast)
-    if coast is None or not coast.stretches:
-        return []
+    assert isinstance(forecast, GeographicForecast)  # noqa: S101 (for the type checker)
     found = forecast.stranding_by_stretch(coast)
     told = []
     for name, p, low, high in zip(

@@ -699,7 +699,10 @@ def _read_layer(
             raise ScenarioError(_no_column(name_column, known))
         columns = [] if name_column is None else [name_column]
         meta, _, wkb, values = pyogrio.raw.read(file, layer=layer, columns=columns)
-    except pyogrio.errors.DataSourceError as error:
+    except ScenarioError:
+        raise
+    except Exception as error:
+        # GDAL answers a damaged file with whatever the damage leads it to.
         raise ScenarioError(f"{file}: cannot be read as a map: {error}") from None
     names = [None] * len(wkb) if name_column is None else list(values[0])
     return np.asarray(shapely.from_wkb(wkb), dtype=object), names, meta["crs"]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from driftcore.earth import RADIUS_M
 from driftcore.errors import RecordError
 from driftcore.grids import GridSource, Period, Region, VectorGrid, read_vector_grid
 from driftcore.record import Float, Times
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 _HOUR = np.timedelta64(1, "h")
 _MINUTE = np.timedelta64(1, "m")
-_EARTH_RADIUS = 6_371_000.0
 
 # How far from a regular axis a time may lie [steps] to be interpolated to it.
 _NEARLY_REGULAR = 0.1
@@ -165,8 +165,8 @@ class Current(VectorGrid):
         def square(values: Float) -> float:
             return float((values**2 * area).sum(axis=(-2, -1)).mean(axis=1).sum() / area.sum())
 
-        dy = np.deg2rad(self.latitude[1] - self.latitude[0]) * _EARTH_RADIUS
-        dx = np.deg2rad(self.longitude[1] - self.longitude[0]) * _EARTH_RADIUS
+        dy = np.deg2rad(self.latitude[1] - self.latitude[0]) * RADIUS_M
+        dx = np.deg2rad(self.longitude[1] - self.longitude[0]) * RADIUS_M
         along_y, along_x = map(np.asarray, np.gradient(velocity, dy, dx, axis=(2, 3)))
         along_x /= np.maximum(np.cos(np.deg2rad(self.latitude)), 1e-3)[:, None]
         gradient2 = square(np.asarray(along_x)) + square(np.asarray(along_y))

@@ -77,6 +77,8 @@ FIRST_LOOK, _LEAST_GROWTH = 1000, 1.05
 PRECISION = 0.01
 # Small-scale steps in a tide, paper section 4.1.
 _FINE_STEPS = 100
+# Narrowest averaging window, in tides: a mean over less is a difference of equal numbers.
+_NARROWEST = 1e-6
 # As in rust/src/python.rs: more than any machine has processors.
 _MOST_THREADS = 1024
 # Steps of the record that a tide may last, from and to: small-scale steps are worked out beforehand
@@ -1012,6 +1014,11 @@ def solver_of(
             raise ScenarioError(f"{field}: {value!r} is not accepted; a finite number above 0 is")
     if window is not None and model != "paper":
         raise ScenarioError(f'window: model {model!r} has none; only "paper" averages the wind')
+    if window is not None and window < _NARROWEST * scenario.period:
+        raise ScenarioError(
+            f"window: {window:g} is not accepted; at least {_NARROWEST:g} of a tide, "
+            f"{_NARROWEST * scenario.period:g}"
+        )
     if formulation not in ("A", "B"):
         raise ScenarioError(f'formulation: {formulation!r} is not accepted; "A" or "B"')
     if model == "full":

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from driftcore.earth import RADIUS_M
 from driftcore.errors import DriftCoreWarning, ScenarioError
 from driftcore.objects import FloatingBody, Leeway
 from driftcore.releases import Release, Releases
@@ -26,9 +27,8 @@ if TYPE_CHECKING:
 
 _DAY = np.timedelta64(86_400_000_000_000, "ns")
 _SECONDS_PER_DAY = 86_400.0
-_EARTH_RADIUS = 6_371_008.8
 # Degrees a day on a great circle for each m/s: rust/src/geometry.rs.
-_DEGREES = math.degrees(_SECONDS_PER_DAY / _EARTH_RADIUS)
+_DEGREES = math.degrees(_SECONDS_PER_DAY / RADIUS_M)
 # The principal lunar tide, where a scenario has none: it still says how long a step may be.
 _M2_DAYS = 0.517525
 # Beyond these the ordering that averaging needs is in doubt.
@@ -416,7 +416,7 @@ class GeographicScenario:
     def _steepness(self, omega: Floats) -> float:
         """`Σ|∇Z_k|/ω_k` at its 99th percentile over the sea."""
         assert self.tides is not None  # noqa: S101 (asked only where there are tides)
-        metre = 1 / math.radians(1) / _EARTH_RADIUS
+        metre = 1 / math.radians(1) / RADIUS_M
         total: Any = 0.0
         for name in ("u", "v"):
             values = self.tides.dataset[name].values

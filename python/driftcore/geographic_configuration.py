@@ -417,13 +417,25 @@ class GeographicConfiguration(Configuration):
             name=here.name,
         )
 
-    def stretches(self, folder: Path | None = None) -> LandCoast | None:
-        """Read the coast with the stretches that strandings are summed up by, if any are named."""
-        coast = self.rooted(folder).coast
-        if coast is None or not (coast.divide_km or coast.stretches):
+    def divided_coast(self, folder: Path | None = None) -> LandCoast | None:
+        """Read the coast, with the stretches that strandings are summed up by where any are named.
+
+        Raises
+        ------
+        ScenarioError
+            Its file is missing or does not serve; the others need not be there.
+        """
+        alone = self.replace(wind=WindConfiguration(), tides=None, current=None)
+        coast = alone.rooted(folder).coast
+        if coast is None:
             return None
         with _told("coast"):
             return coast.divided()
+
+    def stretches(self, folder: Path | None = None) -> LandCoast | None:
+        """Read the coast with its stretches, if any are named."""
+        coast = self.divided_coast(folder)
+        return coast if coast is not None and coast.stretches else None
 
     @classmethod
     def example(

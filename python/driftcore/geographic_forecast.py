@@ -235,8 +235,7 @@ class GeographicForecast(Forecast):
         text = self.configuration()
         if "kind" not in read_toml(text):  # made in Python
             return None
-        coast = GeographicConfiguration.from_toml(text).coast
-        return None if coast is None else coast.divided()
+        return GeographicConfiguration.from_toml(text).divided_coast()
 
     def stranding_probability(self, by: Any = None) -> Probability:
         """Probability of having stranded by a time (UTC; default: the end of the run)."""

@@ -27,8 +27,8 @@ from driftcore.drawing import (
     tones,
     wind_words,
 )
+from driftcore.earth import KM_PER_DEGREE
 from driftcore.forecast import Forecast
-from driftcore.geographic import _EARTH_RADIUS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,7 +42,6 @@ Floats = NDArray[np.float64]
 # West, east, south, north [degrees].
 Box = tuple[float, float, float, float]
 
-KM_PER_DEGREE = math.radians(1) * _EARTH_RADIUS / 1e3
 _MAP_WIDTH, _MAP_HEIGHT = 5.0, 4.6  # in, at most
 _AROUND, COLOUR_BAR = (0.9, 1.6), 0.8  # in, what title, labels and legend take
 

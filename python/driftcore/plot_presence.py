@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,9 +24,9 @@ from driftcore.drawing import (
     tones,
     wind_words,
 )
+from driftcore.earth import KM_PER_DEGREE
 from driftcore.errors import ScenarioError
 from driftcore.forecast import Forecast
-from driftcore.geographic import _EARTH_RADIUS
 from driftcore.map_drawing import (
     COLOUR_BAR,
     add_colour_bar,
@@ -268,7 +267,7 @@ def _edges(bounds: Floats) -> Floats:
 def _areas_km2(x: Floats, y: Floats) -> Floats:
     """Areas of the cells of a column on the sphere."""
     bands = np.diff(np.sin(np.radians(y)))
-    return np.asarray(math.radians(x[1] - x[0]) * bands * (_EARTH_RADIUS / 1e3) ** 2)
+    return np.asarray((x[1] - x[0]) * np.degrees(bands) * KM_PER_DEGREE**2)
 
 
 def _densest(presence: Floats, outside: float) -> tuple[Floats, dict[float, float]]:

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from driftcore.coast import near_longitude, place_name
 from driftcore.configuration import read_toml
 from driftcore.dataset import STATUSES, is_geographic
+from driftcore.earth import KM_PER_DEGREE
 from driftcore.errors import DriftCoreError
 from driftcore.files import check_writable, replacing
 from driftcore.geographic import Scaling
-from driftcore.map_drawing import KM_PER_DEGREE, surroundings
+from driftcore.map_drawing import surroundings
 from driftcore.statistics import Probability, probability
 from driftcore.words import how, set_up
 

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from driftcore.earth import RADIUS_M
 from driftcore.errors import DriftCoreError, DriftCoreWarning, RecordError, ScenarioError, reading
 from driftcore.netcdf import open_netcdf
 from driftcore.record import listed
@@ -63,7 +64,6 @@ _LEAST_EIGENVALUE = 0.01
 # The strongest tidal currents of the world's straits run at about 10 m/s.
 _FASTEST = 15.0
 _PLACES_AT_ONCE = 512  # bounds the memory of a fit
-_EARTH_RADIUS = 6.371e6  # m
 _EARTH_ROTATION = 7.292e-5  # rad/s
 _GRAVITY = 9.81  # m/s²
 
@@ -1429,7 +1429,7 @@ def _atlas(
 
 
 def _metres(degrees: Float) -> Float:
-    return np.asarray(_EARTH_RADIUS * np.radians(degrees))
+    return np.asarray(RADIUS_M * np.radians(degrees))
 
 
 def _positive(name: str, value: float) -> None:

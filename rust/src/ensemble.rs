@@ -60,6 +60,7 @@ impl Scenario {
         solver: &Solver,
         times: &[f64],
     ) -> Result<Trajectory, DriftError> {
+        let solver = solver.tightened(self.drag, self.duration);
         trajectory(times, |on_piece| solver.follow(self.problem(wind), on_piece))
     }
 
@@ -244,6 +245,7 @@ impl<'a> Ensemble<'a> {
             Model::MeanFlow { order: 1 } => Sampling::Coarse,
             _ => Sampling::Fine,
         };
+        let solver = solver.tightened(scenario.drag, scenario.duration);
         let (_, end) = solver.wind_needed(scenario.duration, scenario.sea.period());
         let carrier = Carrier::of(solver.model)
             .filter(|_| solver.euler_step.is_none() && !matches!(winds, Winds::Given(_)));

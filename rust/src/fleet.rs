@@ -37,12 +37,15 @@ pub struct Fleet {
     pub seed: u64,
 }
 
+/// Share of a run below which a response time counts as none: steps are explicit, so that they would
+/// be as short, and what is left out is the way of a body in that time.
+const INSTANT: f64 = 1e-6;
 /// Each jibe is a corner that a step ends at.
 const MOST_JIBES: f64 = 1e7;
 
 impl Fleet {
     /// Fails unless every body and release makes sense.
-    pub fn validated(self) -> Result<Self, DriftError> {
+    pub fn validated(mut self) -> Result<Self, DriftError> {
         let lists = [("releases", self.releases.len()), ("bodies", self.bodies.len())];
         if let Some((name, _)) = lists.into_iter().find(|(_, len)| *len == 0) {
             return Err(DriftError::invalid(name, "an empty list", "there must be one at least"));
@@ -78,6 +81,11 @@ impl Fleet {
             if *response < 0.0 || *slip < 0.0 {
                 let accepted = "response time and slip must not be below 0";
                 return Err(DriftError::invalid("body", format!("{body:?}"), accepted));
+            }
+        }
+        for body in &mut self.bodies {
+            if body.response < INSTANT * self.end {
+                body.response = 0.0;
             }
         }
         Ok(self)

@@ -148,6 +148,13 @@ pub struct Solver {
 }
 
 impl Solver {
+    /// The same for a body of some drag in a run of some length. What is integrated, `X − Λ∬W`, is
+    /// larger than the position by their product, and so must a relative tolerance be smaller.
+    #[must_use]
+    pub fn tightened(self, drag: f64, duration: f64) -> Self {
+        Self { rtol: self.rtol / (drag * duration).max(1.0), ..self }
+    }
+
     /// Follows one body, handing each piece of its trajectory to `on_piece`.
     pub fn follow(&self, problem: Problem, on_piece: OnPiece) -> Result<Work, DriftError> {
         match self.model {

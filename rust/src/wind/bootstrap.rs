@@ -17,7 +17,6 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::error::{DriftError, finite, positive, room};
 use crate::field::Vec2;
 use crate::lanes::{Kernel, dispatch};
-use crate::wind::proposals::{Proposals, Trials};
 
 /// Largest Markov order.
 pub const MAX_ORDER: usize = 8;
@@ -72,8 +71,6 @@ pub struct Chain {
     /// Row of the record whose successor gave the present value, if one did.
     predecessor: Option<usize>,
     phase: usize,
-    /// Trials of the next draw, if it has begun.
-    trials: Option<Trials>,
 }
 
 /// A fitted bootstrap, ready to simulate.
@@ -82,7 +79,6 @@ pub struct Bootstrap {
     catalogue: Catalogue,
     /// Whitened states, component by component.
     columns: Vec<f64>,
-    proposals: Option<Proposals>,
     leaves: Leaves,
     starts: Vec<Vec<usize>>,
 }
@@ -153,7 +149,6 @@ impl Bootstrap {
         let mut bootstrap = Self {
             catalogue,
             columns: Vec::with_capacity(n * d),
-            proposals: None,
             leaves: Leaves::default(),
             starts,
         };
@@ -162,9 +157,7 @@ impl Bootstrap {
         for k in 0..d {
             bootstrap.columns.extend(whitened.iter().skip(k).step_by(d));
         }
-        let bandwidth = bootstrap.catalogue.bandwidth;
-        bootstrap.leaves = Leaves::cheapest(&whitened, d, bandwidth);
-        bootstrap.proposals = Proposals::new(&whitened, d, bandwidth);
+        bootstrap.leaves = Leaves::cheapest(&whitened, d, bootstrap.catalogue.bandwidth);
         Ok(bootstrap)
     }
 
@@ -243,25 +236,11 @@ impl Bootstrap {
         chosen.or_else(|| weights.iter().rposition(|weight| *weight > 0.0)).unwrap_or(0)
     }
 
-    /// The first trials of a draw at the whitened state `z`, where there are proposals for it.
-    fn begin<R: Rng>(&self, z: &State, rng: &mut R) -> Option<Trials> {
+    /// Draws a row with weight `exp(−|z − z_i|²/2h²)`.
+    fn draw<R: Rng>(&self, z: &State, rng: &mut R, scratch: &mut Scratch) -> usize {
         let z = &z[..self.dimension()];
-        self.proposals.as_ref()?.begin(z, self.catalogue.bandwidth, rng)
-    }
-
-    /// Draws a row with weight `exp(−|z − z_i|²/2h²)`, once it has begun.
-    fn draw<R: Rng>(
-        &self,
-        z: &State,
-        trials: Option<Trials>,
-        rng: &mut R,
-        scratch: &mut Scratch,
-    ) -> usize {
-        let z = &z[..self.dimension()];
-        (self.proposals.as_ref().zip(trials))
-            .and_then(|(proposals, trials)| proposals.end(trials, rng))
-            .or_else(|| self.leaves.draw(z, self.catalogue.bandwidth, rng, scratch))
-            .unwrap_or_else(|| self.weigh_all(z, rng))
+        let drawn = self.leaves.draw(z, self.catalogue.bandwidth, rng, scratch);
+        drawn.unwrap_or_else(|| self.weigh_all(z, rng))
     }
 
     /// A chain at a random row of the record, of the given phase if one is given.
@@ -288,19 +267,14 @@ impl Bootstrap {
             place -= rows.len();
         }
         let predecessor = Some(self.catalogue.row[chosen] - 1);
-        Ok(Chain {
-            state: self.state(chosen),
-            predecessor,
-            phase: self.catalogue.phase[chosen],
-            trials: None,
-        })
+        Ok(Chain { state: self.state(chosen), predecessor, phase: self.catalogue.phase[chosen] })
     }
 
     /// A chain that has no values yet: as many as the order are to be handed to it, the first of
     /// them at the given phase.
     pub(crate) fn empty(&self, phase: usize) -> Chain {
         let phase = (phase + self.phases() - 1) % self.phases();
-        Chain { state: [0.0; MAX_DIMENSION], predecessor: None, phase, trials: None }
+        Chain { state: [0.0; MAX_DIMENSION], predecessor: None, phase }
     }
 
     /// Moves the chain by one step of the record, to an anomaly that is given.
@@ -316,15 +290,9 @@ impl Bootstrap {
         Vec2::new(chain.state[0] + mean[0], chain.state[1] + mean[1])
     }
 
-    /// Begins the next step: for many chains in turn, so that they wait for memory together.
-    pub(crate) fn prepare<R: Rng>(&self, chain: &mut Chain, rng: &mut R) {
-        chain.trials = self.begin(&self.whiten(&chain.state), rng);
-    }
-
-    /// Moves the chain by one step of the record, which has been prepared.
+    /// Moves the chain by one step of the record.
     pub(crate) fn advance<R: Rng>(&self, chain: &mut Chain, rng: &mut R, scratch: &mut Scratch) {
-        let trials = chain.trials.take();
-        let drawn = self.draw(&self.whiten(&chain.state), trials, rng, scratch);
+        let drawn = self.draw(&self.whiten(&chain.state), rng, scratch);
         let noise = if self.catalogue.noise.iter().all(|b| *b == 0.0) {
             Vec2::zeros()
         } else {
@@ -359,11 +327,7 @@ impl Bootstrap {
         let z = self.whiten(&y);
         let mut scratch = Scratch::default();
         let mut draw = || {
-            if weigh_all {
-                return self.weigh_all(&z[..d], rng);
-            }
-            let trials = self.begin(&z, rng);
-            self.draw(&z, trials, rng, &mut scratch)
+            if weigh_all { self.weigh_all(&z[..d], rng) } else { self.draw(&z, rng, &mut scratch) }
         };
         let mut rows = room("count", count)?;
         rows.extend((0..count).map(|_| self.catalogue.row[draw()]));

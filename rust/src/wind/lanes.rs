@@ -178,7 +178,6 @@ impl<'a> LaneWind<'a> {
                 let mut wind = generator.member(seed, member)?;
                 for _ in 0..generator.lead_in() {
                     knots.clear();
-                    generator.prepare(&mut wind);
                     generator.draw(&mut wind, sampling, &mut knots, &mut scratch);
                 }
                 set_lane(&mut velocity[0], place, wind.velocity());
@@ -221,9 +220,6 @@ impl<'a> LaneWind<'a> {
             velocity.resize(first + per_step + 1, last);
             if *sampling == Sampling::Coarse {
                 excess.resize(first + 1, [Lanes::ZERO; 2]);
-            }
-            for (member, _) in members.iter_mut().zip(wanted).filter(|(_, wanted)| **wanted) {
-                generator.prepare(member);
             }
             for (place, member) in members.iter_mut().enumerate().filter(|(k, _)| wanted[*k]) {
                 knots.clear();

@@ -9,7 +9,6 @@ pub mod fields;
 pub mod hand_over;
 pub mod lanes;
 pub mod path;
-mod proposals;
 pub mod small_scale;
 
 use std::sync::Arc;
@@ -203,14 +202,6 @@ impl Synoptic {
         Ok(Self { chain, rng, member, handed: 1, error })
     }
 
-    /// Begins the next step, if it is drawn.
-    fn prepare(&mut self, bootstrap: &Bootstrap, beginning: &Beginning) {
-        if beginning.hand_over.as_ref().is_none_or(|given| self.handed >= given.steps()) {
-            bootstrap.prepare(&mut self.chain, &mut self.rng);
-        }
-    }
-
-    /// Takes the step that has been prepared.
     fn advance(&mut self, bootstrap: &Bootstrap, beginning: &Beginning, scratch: &mut Scratch) {
         match &beginning.hand_over {
             Some(hand_over) if self.handed < hand_over.steps() => {
@@ -290,12 +281,7 @@ impl WindGenerator {
         (self.step / substeps as f64, substeps)
     }
 
-    /// Begins the next synoptic step.
-    pub(crate) fn prepare(&self, wind: &mut MemberWind) {
-        wind.synoptic.prepare(&self.bootstrap, &self.beginning);
-    }
-
-    /// Draws the synoptic step that has been prepared: the wind at its knots but the last goes to `knots`, and for coarse
+    /// Draws one synoptic step: the wind at its knots but the last goes to `knots`, and for coarse
     /// sampling the integral over the step is returned.
     pub(crate) fn draw(
         &self,
@@ -341,10 +327,7 @@ impl WindGenerator {
         let mut velocity = room("wind path", steps * substeps + 1)?;
         let mut scratch = Scratch::default();
         let integrals: Vec<Vec2> = (0..steps)
-            .map(|_| {
-                self.prepare(&mut wind);
-                self.draw(&mut wind, sampling, &mut velocity, &mut scratch)
-            })
+            .map(|_| self.draw(&mut wind, sampling, &mut velocity, &mut scratch))
             .collect();
         velocity.push(wind.velocity());
         match sampling {
@@ -391,7 +374,6 @@ pub fn sample(
         let mut synoptic = Synoptic::start(bootstrap, beginning, seed, member)?;
         for step in 0..steps {
             if step > 0 {
-                synoptic.prepare(bootstrap, beginning);
                 synoptic.advance(bootstrap, beginning, &mut scratch);
             }
             sample.wind.push(bootstrap.wind(&synoptic.chain));
