@@ -26,7 +26,7 @@ import xarray as xr
 import driftcore as dc
 from driftcore import _core
 from driftcore.errors import DriftCoreWarning
-from driftcore.forecast import Fates, Resampled, _compiled, regular_times, solver_of
+from driftcore.forecast import Fates, Resampled, regular_times, scenario_core, solver_of
 from driftcore.markdown import paragraphs, table
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def follow(scenario: dc.Scenario, members: int, model: Any) -> dc.Forecast:
 
 def per_member(scenario: dc.Scenario, members: int, model: Any, repeats: int) -> float:
     """CPU time of following a member, without what is prepared once for all of them."""
-    compiled = _compiled(scenario)
+    compiled = scenario_core(scenario)
     _, solver = solver_of(scenario, model, None, None, True, "B", 1e-6, None)
     winds = Resampled(scenario, dc.paper.default_wind(), solver, seed=1)
     fates = Fates.empty(members, 0, 1, 0).rows(slice(members))
@@ -262,7 +262,7 @@ def split(effort: Effort) -> list[list[str]]:
     drawn: the averaged model needs no fine path.
     """
     scenario = dc.paper.scenario(coast=None)
-    compiled = _compiled(scenario)
+    compiled = scenario_core(scenario)
     wind = dc.paper.default_wind()
     paths = [dc.member_path(scenario, wind, member) for member in range(16 * WIDTH)]
     lanes = dc.WindPaths(paths[0].times, np.array([path.velocity for path in paths]))

@@ -267,7 +267,7 @@ def test_a_forecast_outlives_its_coast(
     assert len(cli._result(forecast)["stretches"]) > 1
     Path("land.json").unlink()
     assert cli._result(forecast)["stretches"] == []
-    assert "warning: its coast cannot be read: coast.file:" in capsys.readouterr().err
+    assert "warning: no stretches of the coast: coast.file:" in capsys.readouterr().err
 
 
 def test_check_estimates_the_cost(driftcore: Command) -> None:

@@ -46,13 +46,15 @@ if TYPE_CHECKING:
     from driftcore.grids import VectorGrid, read_vector_grid, read_wind_grid
     from driftcore.hand_over import HandOver
     from driftcore.objects import FloatingBody, Leeway
+    from driftcore.rare import RareProbability, rare_probability
     from driftcore.releases import Release, Releases
     from driftcore.wind_fields import FieldBootstrap, GriddedWindRecord
 
 __version__ = _core.VERSION
 
-# The real sea is imported when it is used: a run of the paper's case waits for none of it.
-_OF_THE_REAL_SEA = {
+# The real sea, and what few need, is imported when it is used: a run of the paper's case waits for
+# none of it.
+_IMPORTED_WHEN_USED = {
     "FieldBootstrap": "wind_fields",
     "FloatingBody": "objects",
     "GeographicConfiguration": "geographic_configuration",
@@ -62,9 +64,11 @@ _OF_THE_REAL_SEA = {
     "HandOver": "hand_over",
     "LandCoast": "coast",
     "Leeway": "objects",
+    "RareProbability": "rare",
     "Release": "releases",
     "Releases": "releases",
     "VectorGrid": "grids",
+    "rare_probability": "rare",
     "read_configuration": "geographic_configuration",
     "read_vector_grid": "grids",
     "read_wind_grid": "grids",
@@ -74,8 +78,8 @@ _OF_THE_REAL_SEA = {
 def __getattr__(name: str) -> Any:
     if name in ("coast", "currents", "hindcast", "objects", "report", "tides", "verification"):
         return import_module(f"driftcore.{name}")
-    if name in _OF_THE_REAL_SEA:
-        return getattr(import_module(f"driftcore.{_OF_THE_REAL_SEA[name]}"), name)
+    if name in _IMPORTED_WHEN_USED:
+        return getattr(import_module(f"driftcore.{_IMPORTED_WHEN_USED[name]}"), name)
     raise AttributeError(f"module 'driftcore' has no attribute {name!r}")
 
 
@@ -105,6 +109,7 @@ __all__ = [
     "OutputError",
     "Polygons",
     "Probability",
+    "RareProbability",
     "RecordError",
     "Release",
     "Releases",
@@ -126,6 +131,7 @@ __all__ = [
     "objects",
     "open_forecast",
     "paper",
+    "rare_probability",
     "read_configuration",
     "read_record",
     "read_vector_grid",

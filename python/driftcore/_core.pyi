@@ -84,6 +84,10 @@ class WindGenerator:
     def path(self, seed: int, member: int, end: float) -> tuple[_Floats, _Floats]: ...
 
 @final
+class Lineages:
+    def __new__(cls, steps: _Integers, members: NDArray[np.uint64]) -> Lineages: ...
+
+@final
 class Sea:
     @staticmethod
     def academic(
@@ -114,6 +118,7 @@ class Coast:
     @staticmethod
     def polygons(rings: list[_Floats], inside: bool) -> Coast: ...
     def clearance(self, x: float, y: float) -> float: ...
+    def clearances(self, positions: _Floats) -> _Floats: ...
 
 @final
 class Maps:
@@ -158,7 +163,10 @@ class Scenario:
     def trajectory(self, wind: WindPath, solver: Solver, times: _Floats) -> list[_Floats]: ...
     def run(
         self,
-        winds: tuple[WindGenerator, int] | list[WindPath] | WindPaths,
+        winds: tuple[WindGenerator, int]
+        | tuple[WindGenerator, int, Lineages]
+        | list[WindPath]
+        | WindPaths,
         solver: Solver,
         first: int,
         times: _Floats,

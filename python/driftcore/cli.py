@@ -509,7 +509,7 @@ def plot(
             from driftcore import plot_map
             from driftcore.coast import LandCoast
 
-            land = _own_coast(opened) if coast is None else LandCoast.from_file(coast)
+            land = LandCoast.from_file(coast) if coast is not None else _coast(opened)
             land = land or LandCoast.default()
             written = plot_map.save_all(dataset, folder, land)
         else:
@@ -742,28 +742,26 @@ def _attributes(forecast: Forecast) -> dict[str, Any]:
     }
 
 
-def _own_coast(forecast: Forecast) -> LandCoast | None:
-    """Coast of a run on the real sea, with its stretches, if its file is still there."""
-    from driftcore.geographic_forecast import GeographicForecast
-
-    if not isinstance(forecast, GeographicForecast):
-        return None
+def _coast(forecast: Any) -> LandCoast | None:
+    """Coast of a run on the real sea, with its stretches."""
     try:
-        return forecast.coast()
+        coast: LandCoast | None = forecast.coast()
     except DriftCoreError as error:
         # The forecast outlives the files it was made from.
-        _say("yellow", "warning", f"its coast cannot be read: {error}")
+        _say("yellow", "warning", f"no stretches of the coast: {error}")
         return None
+    return coast
 
 
 def _stretches(forecast: Forecast) -> list[dict[str, Any]]:
     """Probabilities by stretch of the coast, the greatest first, where it is divided."""
     from driftcore.geographic_forecast import GeographicForecast
 
-    coast = _own_coast(forecast)
-    if coast is None or not coast.stretches or not forecast.followed:
+    if not isinstance(forecast, GeographicForecast) or not forecast.followed:
         return []
-    assert isinstance(forecast, GeographicForecast)  # noqa: S101 (for the type checker)
+    coast = _coast(forecast)
+    if coast is None or not coast.stretches:
+        return []
     found = forecast.stranding_by_stretch(coast)
     told = []
     for name, p, low, high in zip(

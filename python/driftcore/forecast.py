@@ -154,7 +154,7 @@ def trajectory(
     order, solver = solver_of(
         scenario, model, order, window, wind_terms, formulation, rtol, atol, euler_step
     )
-    compiled = _compiled(scenario)
+    compiled = scenario_core(scenario)
     try:
         arrays, work = compiled.trajectory(path.core, solver, instants)
     except ValueError as error:
@@ -383,7 +383,7 @@ def forecast(
     )
     threads = checked_threads(threads)
     chunk = checked_count("chunk", max(_LEAST_CHUNK, members // 100) if chunk is None else chunk)
-    compiled = _compiled(scenario)
+    compiled = scenario_core(scenario)
     shapes: Any = targets or {}  # of which the configuration makes polygons
     configuration = RunConfiguration(
         scenario=scenario,
@@ -392,7 +392,7 @@ def forecast(
         maps=maps,
         targets=shapes,
     )
-    areas = [_area(name, area) for name, area in configuration.targets.items()]
+    areas = [area_core(f"targets.{name}", area) for name, area in configuration.targets.items()]
     counted = None
     if maps is not None:
         regular = regular_times(scenario.duration, maps.interval or scenario.period / 8)
@@ -742,7 +742,7 @@ def planned(
         settings.rtol,
         None,
     )
-    _compiled(scenario)
+    scenario_core(scenario)
     interval = scenario.period / settings.outputs_per_tide
     return partial(
         forecast,
@@ -954,7 +954,7 @@ def regular_times(duration: float, interval: float) -> Floats:
     return np.linspace(0.0, duration, max(1, math.ceil(duration / interval - 1e-9)) + 1)
 
 
-def _compiled(scenario: Scenario) -> _core.Scenario:
+def scenario_core(scenario: Scenario) -> _core.Scenario:
     """Build the core's scenario, and refuse a release on the wrong side of the coast."""
     x, y = scenario.position
     try:
@@ -983,11 +983,12 @@ def _compiled(scenario: Scenario) -> _core.Scenario:
     return compiled
 
 
-def _area(name: str, area: Polygons) -> _core.Coast:
+def area_core(field: str, area: Polygons) -> _core.Coast:
+    """Build the core's shape of an area that is entered from outside."""
     try:
         return _core.Coast.polygons([np.array(ring) for ring in area.rings], inside=False)
     except ValueError as error:
-        raise ScenarioError(f"targets.{name}: {error}") from None
+        raise ScenarioError(f"{field}: {error}") from None
 
 
 def solver_of(

@@ -18,7 +18,7 @@ use crate::statistics::Maps;
 use crate::wind::fields::FieldWinds;
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
-use crate::wind::{Sampling, Wind, WindGenerator};
+use crate::wind::{Lineage, Sampling, Wind, WindGenerator};
 
 /// Everything about a scenario but its wind.
 pub struct Scenario {
@@ -155,6 +155,15 @@ pub enum Winds<'a> {
         /// The seed.
         seed: u64,
     },
+    /// Drawn by a generator, one for each lineage.
+    Branched {
+        /// The generator.
+        generator: &'a WindGenerator,
+        /// The seed.
+        seed: u64,
+        /// The lineages.
+        lineages: &'a [Lineage],
+    },
     /// Given, one for each member.
     Given(&'a [&'a WindPath]),
     /// Given, on common knots.
@@ -190,6 +199,11 @@ impl Winds<'_> {
         match self {
             Self::Drawn { generator, seed } => {
                 generator.path(*seed, member, end, sampling).map(Cow::Owned)
+            }
+            Self::Branched { generator, seed, lineages } => {
+                let lineage = (lineages.get(member as usize))
+                    .ok_or_else(|| DriftError::invalid("member", member, "it has no lineage"))?;
+                generator.path(*seed, lineage.clone(), end, sampling).map(Cow::Owned)
             }
             Self::Given(paths) => (paths.get(member as usize).map(|path| Cow::Borrowed(*path)))
                 .ok_or_else(|| DriftError::invalid("member", member, "it has no wind path")),
@@ -355,6 +369,11 @@ impl<'a> Ensemble<'a> {
         match self.winds {
             Winds::Drawn { generator, seed } => {
                 LaneWind::drawn(generator, *seed, members, self.sampling)
+            }
+            Winds::Branched { generator, seed, lineages } => {
+                let range = members.start as usize..members.end as usize;
+                let lineages = lineages.get(range).unwrap_or_default();
+                LaneWind::drawn(generator, *seed, lineages.iter().cloned(), self.sampling)
             }
             Winds::InMemory(paths) => {
                 paths.require(0.0, self.end)?;

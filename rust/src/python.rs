@@ -352,6 +352,34 @@ impl WindGenerator {
     }
 }
 
+/// Whose random numbers each of many winds is drawn from.
+#[pyclass(frozen)]
+struct Lineages(Vec<wind::Lineage>);
+
+#[pymethods]
+impl Lineages {
+    /// Members and the synoptic steps from which on theirs are taken, a row each: those of the first
+    /// column from the beginning, and none where a step is below 0.
+    #[new]
+    fn new(steps: PyReadonlyArray2<i64>, members: PyReadonlyArray2<u64>) -> PyResult<Self> {
+        if steps.shape() != members.shape() || steps.shape()[1] == 0 {
+            let found = format!("{:?} and {:?}", steps.shape(), members.shape());
+            return Err(DriftError::invalid("lineages", found, "one member for each step").into());
+        }
+        let (steps, members) = (steps.as_array(), members.as_array());
+        let lineages = steps.rows().into_iter().zip(members.rows()).map(|(steps, members)| {
+            let pairs = steps.iter().zip(members).skip(1);
+            wind::Lineage {
+                member: members[0],
+                branches: pairs
+                    .filter_map(|(step, member)| Some((usize::try_from(*step).ok()?, *member)))
+                    .collect(),
+            }
+        });
+        Ok(Self(lineages.collect()))
+    }
+}
+
 /// Sea-surface velocity field.
 #[pyclass(frozen)]
 struct Sea(Arc<dyn SeaField>);
@@ -472,6 +500,18 @@ impl Coast {
     /// Distance to the coast line, above 0 where the body floats.
     fn clearance(&self, x: f64, y: f64) -> f64 {
         self.0.clearance(Vec2::new(x, y))
+    }
+
+    /// The same of many positions.
+    fn clearances<'py>(
+        &self,
+        py: Python<'py>,
+        positions: PyReadonlyArray2<f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let positions = points("positions", &positions)?;
+        let clearances: Vec<f64> =
+            py.detach(|| positions.iter().map(|x| self.0.clearance(*x)).collect());
+        Ok(clearances.into_pyarray(py))
     }
 }
 
@@ -899,6 +939,7 @@ fn trajectory_arrays(py: Python<'_>, out: Trajectory) -> PyResult<Followed<'_>> 
 #[derive(FromPyObject)]
 enum GivenWinds {
     Drawn(Py<WindGenerator>, u64),
+    Branched(Py<WindGenerator>, u64, Py<Lineages>),
     One(Py<WindPath>),
     Paths(Vec<Py<WindPath>>),
     InMemory(Py<WindPaths>),
@@ -920,6 +961,11 @@ impl GivenWinds {
             Self::Drawn(generator, seed) => {
                 Winds::Drawn { generator: &generator.get().0, seed: *seed }
             }
+            Self::Branched(generator, seed, lineages) => Winds::Branched {
+                generator: &generator.get().0,
+                seed: *seed,
+                lineages: &lineages.get().0,
+            },
             Self::One(_) | Self::Paths(_) => Winds::Given(paths),
             Self::InMemory(paths) => Winds::InMemory(&paths.get().0),
             Self::Fields(winds) => Winds::Fields(&winds.get().0),
@@ -945,8 +991,8 @@ type Fates<'py> = (
 mod _core {
     #[pymodule_export]
     use super::{
-        Bootstrap, Coast, FieldWinds, Fleet, HandOver, Maps, Scenario, Sea, Solver, WindGenerator,
-        WindPath, WindPaths,
+        Bootstrap, Coast, FieldWinds, Fleet, HandOver, Lineages, Maps, Scenario, Sea, Solver,
+        WindGenerator, WindPath, WindPaths,
     };
 
     #[pymodule_export]

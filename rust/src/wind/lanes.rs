@@ -3,7 +3,7 @@
 
 use super::bootstrap::Scratch;
 use super::path::{WindPath, require_cover};
-use super::{MemberWind, Sampling, WindGenerator};
+use super::{Lineage, MemberWind, Sampling, WindGenerator};
 use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
 use crate::lanes::{LaneVec2, Lanes, WIDTH, lane, set_lane};
@@ -163,11 +163,11 @@ impl<'a> LaneWind<'a> {
         wind
     }
 
-    /// Members `first` and following, drawn.
+    /// Members, or lineages of them, drawn.
     pub fn drawn(
         generator: &'a WindGenerator,
         seed: u64,
-        members: std::ops::Range<u64>,
+        members: impl IntoIterator<Item: Into<Lineage>>,
         sampling: Sampling,
     ) -> Result<Self, DriftError> {
         let (mut knots, mut scratch) = (Vec::new(), Scratch::default());
@@ -502,6 +502,30 @@ mod tests {
                 let path = generator.path(8, 40 + place as u64, 2.0, sampling)?;
                 assert_is(LaneWind::drawn(&generator, 8, 40..48, sampling)?, place, &path);
             }
+        }
+        Ok(())
+    }
+
+    /// Side by side or alone, a branch has its parent's wind up to the step where it begins, and the
+    /// wind of nobody else after it.
+    #[test]
+    fn a_branch_keeps_its_past() -> Result<(), DriftError> {
+        let generator = generator()?;
+        let parent = Lineage { member: 40, branches: vec![(2, 7)] };
+        let child = Lineage { member: 40, branches: vec![(2, 7), (5, 8), (5, 9)] };
+        for sampling in [Sampling::Coarse, Sampling::Fine] {
+            let path = |lineage: Lineage| generator.path(8, lineage, 2.0, sampling);
+            let [plain, parents, childs, other] =
+                [path(40.into())?, path(parent.clone())?, path(child.clone())?, path(9.into())?];
+            let shared = |a: &WindPath, b: &WindPath| {
+                let same = a.knots().iter().zip(b.knots()).take_while(|(a, b)| a == b).count();
+                same.checked_sub(1).map(|last| a.times()[last])
+            };
+            assert_eq!(shared(&plain, &parents), Some(0.5));
+            assert_eq!(shared(&parents, &childs), Some(1.25));
+            assert_eq!(shared(&childs, &other), None);
+            let wind = LaneWind::drawn(&generator, 8, [parent.clone(), child.clone()], sampling)?;
+            assert_is(wind, 1, &childs);
         }
         Ok(())
     }

@@ -2,7 +2,8 @@
 //!
 //! One (seed, member) is one wind, whatever model asks for it and however finely: the synoptic
 //! states, the small scale at the synoptic steps and its fine path are three separate random
-//! streams, each read in the order of time.
+//! streams, each read in the order of time. A [`Lineage`] goes over to the streams of other members
+//! on its way: what it shares with another up to there, and nothing after, is its past.
 
 pub mod bootstrap;
 pub mod fields;
@@ -11,7 +12,9 @@ pub mod lanes;
 pub mod path;
 pub mod small_scale;
 
+use std::iter::Peekable;
 use std::sync::Arc;
+use std::vec::IntoIter;
 
 use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
@@ -44,6 +47,22 @@ fn stream(seed: u64, member: u64, stream: Stream) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(4 * member + stream as u64);
     rng
+}
+
+/// Whose random numbers a wind is drawn from: a member's at first, and from synoptic steps after the
+/// release on those of others.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Lineage {
+    /// Who begins.
+    pub member: u64,
+    /// From which step on, whose; the steps must not decrease.
+    pub branches: Vec<(usize, u64)>,
+}
+
+impl From<u64> for Lineage {
+    fn from(member: u64) -> Self {
+        Self { member, branches: Vec::new() }
+    }
 }
 
 /// Times at which a member's body jibes, up to `end`: a Poisson process.
@@ -255,7 +274,12 @@ impl WindGenerator {
     }
 
     /// The wind of one member, ready to be drawn from `−lead_in` steps on.
-    pub(crate) fn member(&self, seed: u64, member: u64) -> Result<MemberWind, DriftError> {
+    pub(crate) fn member(
+        &self,
+        seed: u64,
+        lineage: impl Into<Lineage>,
+    ) -> Result<MemberWind, DriftError> {
+        let Lineage { member, branches } = lineage.into();
         let synoptic = Synoptic::start(&self.bootstrap, &self.beginning, seed, member)?;
         let mut coarse = stream(seed, member, Stream::SmallScale);
         Ok(MemberWind {
@@ -264,6 +288,9 @@ impl WindGenerator {
             fine: stream(seed, member, Stream::FinePath),
             synoptic,
             coarse,
+            seed,
+            branches: branches.into_iter().peekable(),
+            drawn: 0,
         })
     }
 
@@ -290,6 +317,15 @@ impl WindGenerator {
         knots: &mut Vec<Vec2>,
         scratch: &mut Scratch,
     ) -> Vec2 {
+        let branches = &mut wind.branches;
+        while let Some((_, member)) =
+            branches.next_if(|(step, _)| self.lead_in + *step <= wind.drawn)
+        {
+            wind.synoptic.rng = stream(wind.seed, member, Stream::Synoptic);
+            wind.coarse = stream(wind.seed, member, Stream::SmallScale);
+            wind.fine = stream(wind.seed, member, Stream::FinePath);
+        }
+        wind.drawn += 1;
         let (slow, fast) = (wind.slow, wind.fast);
         wind.synoptic.advance(&self.bootstrap, &self.beginning, scratch);
         wind.slow = self.bootstrap.wind(&wind.synoptic.chain) / self.unit;
@@ -311,7 +347,7 @@ impl WindGenerator {
     pub fn path(
         &self,
         seed: u64,
-        member: u64,
+        lineage: impl Into<Lineage>,
         end: f64,
         sampling: Sampling,
     ) -> Result<WindPath, DriftError> {
@@ -323,7 +359,7 @@ impl WindGenerator {
         }
         let steps = steps as usize;
         let start = -(self.lead_in as f64) * self.step;
-        let mut wind = self.member(seed, member)?;
+        let mut wind = self.member(seed, lineage)?;
         let mut velocity = room("wind path", steps * substeps + 1)?;
         let mut scratch = Scratch::default();
         let integrals: Vec<Vec2> = (0..steps)
@@ -348,6 +384,10 @@ pub(crate) struct MemberWind {
     fast: Vec2,
     coarse: ChaCha8Rng,
     fine: ChaCha8Rng,
+    seed: u64,
+    /// Those still ahead, and the steps drawn up to now.
+    branches: Peekable<IntoIter<(usize, u64)>>,
+    drawn: usize,
 }
 
 impl MemberWind {

@@ -1,0 +1,161 @@
+"""Rare events by splitting: branches keep their past, the estimate is unbiased."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import driftcore as dc
+from driftcore import _core
+from driftcore.forecast import Fates, Resampled, scenario_core, solver_of
+from driftcore.rare import _interval
+
+
+def square(x: float, y: float, half: float) -> list[tuple[float, float]]:
+    return [(x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)]
+
+
+def scenario(radius: float, duration: float = 0.3) -> dc.Scenario:
+    """Return the paper's case, but shorter."""
+    case = dc.paper.scenario(coast=dc.Circle(radius=radius))
+    return case.model_copy(update={"duration": duration})
+
+
+def follow(
+    case: dc.Scenario, model: str, steps: list[list[int]], members: list[list[int]], times: Any
+) -> np.ndarray:
+    _, solver = solver_of(case, model, None, None, True, "B", 1e-6, None)
+    winds = Resampled(case, dc.paper.default_wind(), solver, 4)
+    lineages = _core.Lineages(np.array(steps), np.array(members, dtype=np.uint64))
+    fates = Fates.empty(len(steps), len(steps), len(times), 0)
+    core = scenario_core(case)
+    assert core.run((*winds.core, lineages), solver, 0, times, len(steps), fates, 1, []) is None
+    return fates.position
+
+
+@pytest.mark.parametrize(("model", "tolerance"), [("mean-flow", 1e-7), ("full", 1e-12)])
+def test_a_branch_keeps_its_past(model: str, tolerance: float) -> None:
+    """The position at a synoptic step tells of later wind no more than the integration errs."""
+    case = scenario(1.0)
+    step = 6.0 / case.hours_per_unit
+    times = np.arange(0, 31) * step
+    steps = [[0, -1, -1], [0, 10, -1], [0, 10, 20], [0, -1, -1]]
+    members = [[3, 0, 0], [3, 50, 0], [3, 50, 51], [50, 0, 0]]
+    root, child, grandchild, other = follow(case, model, steps, members, times)
+    wind = dc.paper.default_wind()
+    plain = dc.forecast(case, wind, members=4, seed=4, model=model, times=times).dataset  # type: ignore[arg-type]
+    assert np.array_equal(root, plain["position"][3])
+
+    def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.hypot(*(a - b).T)
+
+    for one, two, branched in ((root, child, 10), (child, grandchild, 20), (child, other, 0)):
+        assert apart(one, two)[: branched + 1].max() < tolerance
+        assert apart(one, two)[branched + 1] > 1e-6
+
+
+OFTEN = scenario(0.13)
+AREA = square(1.035, 1.025, 0.01)
+
+
+@pytest.fixture(scope="module")
+def plain() -> dc.Forecast:
+    wind = dc.paper.default_wind()
+    return dc.forecast(OFTEN, wind, members=60_000, seed=5, keep=0, targets={"area": AREA})
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"event": AREA},
+        {"event": dc.Polygons(rings=(AREA,)), "levels": [-0.09, -0.05, -0.02]},
+        {"model": "full"},
+    ],
+    ids=["stranding", "area", "importance given", "full"],
+)
+def test_the_estimate_is_unbiased(plain: dc.Forecast, asked: dict[str, Any]) -> None:
+    """The mean of 150 replicates of 20 members, which each err by their own size, is right."""
+    wind = dc.paper.default_wind()
+    if "levels" in asked:
+
+        def importance(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
+            assert positions.shape[1:] == (len(times), 2)
+            return -np.abs(positions - [1.035, 1.025]).max(axis=2)
+
+        asked = {**asked, "importance": importance}
+    found = dc.rare_probability(OFTEN, wind, particles=20, replicates=150, seed=6, **asked)
+    event = "event" in asked
+    counted = plain.entry_probability("area") if event else plain.stranding_probability()
+    error = math.hypot(
+        found.standard_error, math.sqrt(counted.estimate * (1 - counted.estimate) / counted.members)
+    )
+    assert abs(found.estimate - counted.estimate) < 3 * error
+    assert found.low < found.estimate < found.high
+    assert error < counted.estimate / 6
+    assert len(found.levels) >= 1
+    assert (np.diff(found.levels) > 0).all()
+    assert found.conditional.prod() == pytest.approx(found.estimate)
+    assert found.followed > 150 * 20
+
+
+def test_rare_is_reached_at_a_small_cost() -> None:
+    """At 1e-5 a few thousand members stand for many times as many; a seed is a result."""
+    wind = dc.paper.default_wind()
+    case = scenario(0.16)
+    found = dc.rare_probability(case, wind, particles=100, replicates=20, seed=2)
+    assert 1e-7 < found.estimate < 1e-4
+    assert found.plain_members > 20 * found.followed
+    assert found.high < 5 * found.low
+    again = dc.rare_probability(case, wind, particles=100, replicates=20, seed=2, threads=1)
+    assert np.array_equal(again.replicates, found.replicates)
+    assert str(found) == f"{found.estimate:.3g} [{found.low:.3g}, {found.high:.3g}]"
+
+
+def test_intervals_are_those_of_student() -> None:
+    """Of replicates 1, 2, 3, 4, 5: mean 3, standard error sqrt(1/2), t of 4 degrees 2.776."""
+    estimates = np.arange(1.0, 6.0)
+    low, high = _interval(1e-3 * estimates)
+    expected = 3e-3 * np.exp(2.776 * math.sqrt(0.5) / 3 * np.array([-1, 1]))
+    assert np.allclose([low, high], expected, rtol=3e-3)
+    with pytest.warns(dc.DriftCoreWarning, match="none of 5 replicates reached the event"):
+        assert _interval(np.zeros(5)) == (0.0, 1.0)
+
+
+def test_what_cannot_happen_is_told() -> None:
+    with pytest.raises(dc.DriftCoreError, match="came no nearer to it"):
+        dc.rare_probability(
+            OFTEN,
+            event=square(9.0, 9.0, 0.1),
+            particles=20,
+            importance=lambda times, positions: np.zeros((len(positions), len(times))),
+        )
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"model": "paper"}, "model: 'paper' is not accepted; its window reaches"),
+        ({"wind": [1]}, "wind: list is not accepted; branches are drawn from"),
+        ({"event": "fire"}, "event: 'fire' is not accepted; 'stranding', or an area"),
+        ({"event": [(0, 0)]}, "event"),
+        ({"particles": 3}, "particles: 3 is not accepted; a whole number from 20 up"),
+        ({"replicates": 1}, "replicates: 1 is not accepted; a whole number from 5 up"),
+        ({"seed": -1}, "seed: -1 is not accepted"),
+        ({"levels": [1, 1]}, r"levels: \[1, 1\] is not accepted; finite numbers that increase"),
+        ({"scenario": "paper"}, "scenario: str is not accepted; rare events are estimated on the"),
+        ({"scenario": scenario(1.0, 0.015)}, "scenario.duration: 0.015 is not accepted"),
+        ({"scenario": dc.paper.scenario(coast=None)}, "event: 'stranding' is not accepted; the"),
+        (
+            {"importance": lambda times, _: times},
+            r"importance: a result of shape \(15,\) is not accepted",
+        ),
+    ],
+)
+def test_what_is_not_accepted_is_named(asked: dict[str, Any], message: str) -> None:
+    case = asked.pop("scenario", OFTEN)
+    with pytest.raises(dc.ScenarioError, match=message):
+        dc.rare_probability(case, **{"particles": 20, "replicates": 5, **asked})
