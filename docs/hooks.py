@@ -18,7 +18,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """Turn links to files of the repository outside the documentation into their names."""
     docs = Path(config["docs_dir"])
     if page.file.src_uri == "contributing.md":  # one text, which stands at the top
-        markdown = (docs.parent / "CONTRIBUTING.md").read_text("utf-8").replace("](docs/", "](")
+        text = (docs.parent / "CONTRIBUTING.md").read_text("utf-8")
+        markdown = re.sub(r"\]\((?!\w+:)", "](../", text).replace("](../docs/", "](")
 
     def shown(link: re.Match[str]) -> str:
         folder = PurePosixPath(page.file.src_uri).parent

@@ -541,7 +541,7 @@ def test_a_bad_atlas_file_is_refused(tmp_path: Path) -> None:
             good[["v_amplitude", "v_phase"]].isel(latitude=slice(1, None)),
         ],
         "all is land": good.where(False).assign({name: good[name].where(False) for name in good}),
-        "cannot be read": tmp_path / "absent.nc",
+        "is no file": tmp_path / "absent.nc",
     }
     for message, source in cases.items():
         with pytest.raises(RecordError, match=message):
@@ -873,7 +873,7 @@ def test_warnings_are_heard_beside_pytmd() -> None:
     In a process of its own, for it is imported once.
     """
     code = (
-        "import warnings; from driftcore import tides; tides._pytmd(); "
+        "import warnings; from driftcore import tides; tides.constituents.pytmd(); "
         "from driftcore.errors import DriftCoreWarning; warnings.warn('heard', DriftCoreWarning)"
     )
     command = [sys.executable, "-c", code]
