@@ -449,6 +449,7 @@ def test_night_and_day(opened: Any) -> None:
     colours = []
     for scheme in ("dark", "light"):
         tab.emulate_media(color_scheme=scheme)
+        tab.wait_for_timeout(300)  # the charts follow when the browser tells of the change
         body = tab.evaluate("getComputedStyle(document.body).backgroundColor")
         colours.append((body, model(tab, "map", "background_fill_color")))
         assert model(tab, "scale", "palette.length") > 32

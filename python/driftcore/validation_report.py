@@ -625,6 +625,11 @@ def _figures(v: Validation, member: int) -> str:
                 "Probability of stranding against time",
                 "Not in the paper: when they strand.",
             ),
+            figure(
+                "estimate",
+                "Probability of stranding against the number of members",
+                "Not in the paper: how the estimate settles, with its 95 % interval.",
+            ),
         ]
     )
 
