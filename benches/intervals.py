@@ -19,9 +19,9 @@ from scipy import stats
 
 import driftcore as dc
 from driftcore.errors import DriftCoreWarning
-from driftcore.forecast import FIRST_LOOK, next_look
 from driftcore.markdown import table
 from driftcore.multifidelity import combined_probability
+from driftcore.precision import FIRST_LOOK, next_look
 from driftcore.statistics import members_needed, probability, quantile_interval, wilson
 
 PROBABILITIES = (0.02, 0.3, 0.6)

@@ -25,9 +25,11 @@ import xarray as xr
 
 import driftcore as dc
 from driftcore import _core
+from driftcore.compiled import regular_times, scenario_core, solver_of
+from driftcore.ensemble_winds import Resampled
 from driftcore.errors import DriftCoreWarning
-from driftcore.forecast import Fates, Resampled, regular_times, scenario_core, solver_of
 from driftcore.markdown import paragraphs, table
+from driftcore.members import Fates
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

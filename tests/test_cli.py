@@ -695,7 +695,7 @@ def test_out_of_memory_is_told(driftcore: Command, monkeypatch: pytest.MonkeyPat
         raise MemoryError
 
     # By its module: the package's attribute of this name is the function in it.
-    monkeypatch.setattr(sys.modules["driftcore.forecast"], "run", exhausted)
+    monkeypatch.setattr(sys.modules["driftcore.runs"], "run", exhausted)
     scenario = write(SMALL)
     with unchanged():
         refused(driftcore("run", scenario, "-o", "out.nc"), "out of memory")
@@ -706,7 +706,7 @@ def test_out_of_memory_is_told(driftcore: Command, monkeypatch: pytest.MonkeyPat
 ANNOUNCED = """
 import sys
 from driftcore.cli import main
-module = sys.modules["driftcore.forecast"]
+module = sys.modules["driftcore.runs"]
 run = module.run
 def announced(*positional, **named):
     print("running", flush=True)

@@ -15,8 +15,10 @@ import xarray as xr
 import driftcore as dc
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreWarning, OutputError, ScenarioError
-from driftcore.forecast import Forecast, forecast, open_forecast, trajectory
+from driftcore.forecast import forecast
+from driftcore.results import Forecast, open_forecast
 from driftcore.statistics import quantile_interval
+from driftcore.trajectories import trajectory
 from reference import Floats, wilson_interval
 
 AFLOAT, STRANDED, LEFT_DOMAIN, FAILED = range(4)

@@ -13,7 +13,7 @@ import xarray as xr
 import driftcore as dc
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
-from driftcore.forecast import planned
+from driftcore.runs import planned
 
 LAND = (
     '{"type": "Polygon", "coordinates": [[[-4.2, 46], [-3, 46], [-3, 48], [-4.2, 48], [-4.2, 46]]]}'

@@ -10,8 +10,8 @@ import pytest
 
 import driftcore as dc
 from driftcore import _core
+from driftcore.compiled import regular_times
 from driftcore.errors import ScenarioError
-from driftcore.forecast import regular_times
 from driftcore.maps import MapGrid
 from driftcore.statistics import standard_error
 from reference import Floats
@@ -337,7 +337,7 @@ def test_targets_and_maps_from_toml() -> None:
         ({"interval": 0}, "interval: 0 is not accepted"),
         (
             {"x": np.linspace(0, 1, 10001), "y": np.linspace(0, 1, 10001)},
-            "4 maps of 10000 x 10000 cells are not accepted; they hold 4e\\+08 values",
+            "4 maps of 10000 x 10000 cells are not accepted; they hold 4e\\+08 values, 3.2 GB",
         ),
     ],
 )

@@ -10,7 +10,8 @@ import pytest
 
 import driftcore as dc
 from driftcore.errors import DriftCoreWarning, ScenarioError
-from driftcore.forecast import Forecast, until_precise
+from driftcore.precision import until_precise
+from driftcore.results import Forecast
 from driftcore.statistics import members_needed, probability
 
 GRID = dc.MapGrid(x=(0.7, 1.0, 1.3), y=(0.7, 1.0, 1.3), times=(0.5, 1.0))

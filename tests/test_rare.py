@@ -10,7 +10,9 @@ import pytest
 
 import driftcore as dc
 from driftcore import _core
-from driftcore.forecast import Fates, Resampled, scenario_core, solver_of
+from driftcore.compiled import scenario_core, solver_of
+from driftcore.ensemble_winds import Resampled
+from driftcore.members import Fates
 from driftcore.rare import _interval
 
 

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from driftcore import _core, paper
+from driftcore.ensemble_winds import member_path, record_paths
 from driftcore.errors import (
     DriftCoreError,
     DriftCoreWarning,
@@ -19,22 +20,16 @@ from driftcore.errors import (
     RecordError,
     ScenarioError,
 )
-from driftcore.forecast import (
-    Forecast,
-    forecast,
-    member_path,
-    member_trajectories,
-    open_forecast,
-    record_paths,
-    run,
-    trajectory,
-)
+from driftcore.forecast import forecast
 from driftcore.maps import MapGrid
 from driftcore.multifidelity import MultifidelityProbability, multifidelity_probability
 from driftcore.record import WindRecord, read_record
+from driftcore.results import Forecast, open_forecast
+from driftcore.runs import run
 from driftcore.scenario import Circle, Polygons, RunConfiguration, Scenario
 from driftcore.sea import AcademicSea, HarmonicSea
 from driftcore.statistics import Probability
+from driftcore.trajectories import member_trajectories, trajectory
 from driftcore.wind import LocalGridBootstrap, WindPath, WindPaths
 
 if TYPE_CHECKING:

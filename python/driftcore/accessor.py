@@ -13,7 +13,7 @@ from typing import Any
 import xarray as xr
 
 from driftcore.errors import ScenarioError
-from driftcore.forecast import Forecast, forecast_of
+from driftcore.results import Forecast, forecast_of
 
 __all__ = ["ForecastAccessor"]
 

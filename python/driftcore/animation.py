@@ -33,7 +33,6 @@ from driftcore.drawing import (
 )
 from driftcore.errors import DriftCoreError, ScenarioError
 from driftcore.files import check_writable, replacing
-from driftcore.forecast import Forecast
 from driftcore.map_drawing import (
     add_colour_bar,
     add_legend_below,
@@ -55,6 +54,7 @@ from driftcore.plot_presence import (
     scale_of,
     words_at,
 )
+from driftcore.results import Forecast
 
 if TYPE_CHECKING:
     import xarray as xr

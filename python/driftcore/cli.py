@@ -40,7 +40,7 @@ from driftcore.words import how, set_up
 
 if TYPE_CHECKING:
     from driftcore.coast import LandCoast
-    from driftcore.forecast import Forecast
+    from driftcore.results import Forecast
 
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
@@ -146,7 +146,7 @@ def demo(
         return
     from driftcore import plot as figures
     from driftcore.files import filling
-    from driftcore.forecast import member_trajectories
+    from driftcore.trajectories import member_trajectories
 
     with filling(output, overwrite, expected="demo.nc") as folder:
         forecast = _run(configuration, Path(), threads, quiet or as_json)
@@ -254,8 +254,10 @@ def check(
 
     Everything is read, the wind is fitted, and a few members are followed.
     """
-    from driftcore.forecast import FIRST_LOOK, PRECISION, default_threads, planned
     from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
+    from driftcore.members import default_threads
+    from driftcore.precision import FIRST_LOOK, PRECISION
+    from driftcore.runs import planned
     from driftcore.statistics import members_needed
 
     if picture is not None:
@@ -468,7 +470,7 @@ def objects(
 @app.command(rich_help_panel="Results")
 def info(forecast: ForecastFile, as_json: AsJson = False) -> None:
     """Say what is in a forecast file: what was run, and what came of it."""
-    from driftcore.forecast import open_forecast
+    from driftcore.results import open_forecast
 
     opened = open_forecast(forecast)
     if as_json:
@@ -499,7 +501,7 @@ def plot(
     from driftcore import plot
     from driftcore.dataset import is_geographic
     from driftcore.files import filling
-    from driftcore.forecast import open_forecast
+    from driftcore.results import open_forecast
 
     opened = open_forecast(forecast)
     dataset = opened.dataset
@@ -541,7 +543,7 @@ def animate(
     from driftcore import animation
     from driftcore.coast import LandCoast
     from driftcore.dataset import is_geographic
-    from driftcore.forecast import open_forecast
+    from driftcore.results import open_forecast
 
     dataset = open_forecast(forecast).dataset
     land = None
@@ -581,7 +583,7 @@ def export(
     strandings, trajectories and cells of the maps, a layer each. `.nc`: trajectories.
     """
     from driftcore.export import export as write_export
-    from driftcore.forecast import open_forecast
+    from driftcore.results import open_forecast
 
     chosen: Any = written_as  # anything else is refused by its name
     write_export(open_forecast(forecast), output, chosen, overwrite)
@@ -609,7 +611,7 @@ def report(
     """
     from driftcore import report as page
     from driftcore.coast import LandCoast
-    from driftcore.forecast import open_forecast
+    from driftcore.results import open_forecast
 
     target = forecast.with_suffix(".html") if output is None else output
     land = None if coast is None else LandCoast.from_file(coast)
@@ -694,7 +696,7 @@ def _months(words: str) -> list[int] | None:
 def _run(
     configuration: Any, folder: Path, threads: int | None, quiet: bool, **store: Any
 ) -> Forecast:
-    from driftcore.forecast import run as run_configuration
+    from driftcore.runs import run as run_configuration
 
     with _bar("members", quiet, "fitting the wind") as progress:
         return run_configuration(

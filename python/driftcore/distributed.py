@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from driftcore.errors import DriftCoreError
-from driftcore.forecast import default_threads
+from driftcore.members import default_threads
 from driftcore.store import Job, Part
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from driftcore.coast import near_longitude
 from driftcore.dataset import STATUSES, is_geographic, write_netcdf
 from driftcore.errors import DriftCoreError, ScenarioError, need_geo
 from driftcore.files import check_writable, replacing
-from driftcore.forecast import Forecast
+from driftcore.results import Forecast
 
 if TYPE_CHECKING:
     import pandas as pd

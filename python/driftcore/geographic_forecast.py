@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
+from driftcore.compiled import solver_of
 from driftcore.configuration import read_toml
 from driftcore.dataset import (
     STATUS_ATTRIBUTES,
@@ -23,24 +24,23 @@ from driftcore.dataset import (
     with_targets,
 )
 from driftcore.errors import DriftCoreError, ScenarioError
-from driftcore.forecast import (
-    Fates,
-    Forecast,
-    checked_count,
-    checked_threads,
-    follow_in_chunks,
-    kept_of,
-    members_of,
-    solver_of,
-    time_quantiles,
-    until_precise,
-    warn_of_failures,
-)
 from driftcore.geographic import GeographicScenario
 from driftcore.geographic_winds import core_path, winds_of
 from driftcore.grids import VectorGrid
 from driftcore.maps import MapGrid
+from driftcore.members import (
+    Fates,
+    checked_count,
+    checked_threads,
+    chunk_of,
+    follow_in_chunks,
+    kept_of,
+    members_of,
+    warn_of_failures,
+)
 from driftcore.memory import require_room_for
+from driftcore.precision import until_precise
+from driftcore.results import Forecast, time_quantiles
 from driftcore.scenario import ModelName, Polygons
 from driftcore.statistics import Probability, probability, wilson
 from driftcore.wind import WindPath
@@ -54,8 +54,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Times = NDArray[np.datetime64]
 _OUTPUTS_H = 3.0
-# Members whose releases are sampled and who are followed between two reports of progress.
-_CHUNK = 1024
 
 
 def geographic_trajectory(
@@ -153,7 +151,7 @@ def geographic_forecast(
     members = members_of(members, first_member, winds.members)
     keep = checked_count("keep", keep, least=0)
     threads = checked_threads(threads)
-    chunk = checked_count("chunk", max(_CHUNK, members // 100) if chunk is None else chunk)
+    chunk = chunk_of(members, chunk)
     if times is None:
         steps = math.ceil(scenario.days * 24 / _OUTPUTS_H - 1e-9)
         start = scenario.since_origin(scenario.start)

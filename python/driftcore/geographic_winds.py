@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from driftcore import _core
+from driftcore.ensemble_winds import Resampled, substeps_of
 from driftcore.errors import DriftCoreWarning, ScenarioError
-from driftcore.forecast import Resampled, substeps_of
 from driftcore.grids import VectorGrid
 from driftcore.hand_over import HandOver
 from driftcore.record import WindRecord, phase_of_day

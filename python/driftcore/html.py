@@ -10,8 +10,8 @@ from driftcore.dataset import is_geographic
 from driftcore.words import how, set_up
 
 if TYPE_CHECKING:
-    from driftcore.forecast import Forecast
     from driftcore.geographic import GeographicScenario
+    from driftcore.results import Forecast
     from driftcore.scenario import Scenario
 
 _SHOWN = 120

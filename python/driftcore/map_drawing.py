@@ -28,7 +28,7 @@ from driftcore.drawing import (
     wind_words,
 )
 from driftcore.earth import KM_PER_DEGREE
-from driftcore.forecast import Forecast
+from driftcore.results import Forecast
 
 if TYPE_CHECKING:
     import xarray as xr

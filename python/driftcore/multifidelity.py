@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from driftcore.dataset import STATUSES
 from driftcore.errors import ScenarioError
-from driftcore.forecast import Progress, checked_count, forecast
+from driftcore.forecast import forecast
+from driftcore.members import Progress, checked_count
 from driftcore.paper import default_wind
 from driftcore.scenario import Scenario
 from driftcore.statistics import Interval, deviations, paired_difference, probability, wilson_center

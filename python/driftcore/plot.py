@@ -55,11 +55,11 @@ from driftcore.drawing import (
     wind_words,
 )
 from driftcore.errors import ScenarioError
-from driftcore.forecast import Forecast
 from driftcore.plot_presence import presence_map
 from driftcore.plot_setup import set_up
 from driftcore.plot_verification import pit_histogram, reliability_diagram, score_ratios
 from driftcore.plot_wind import ROSES, roses, stranding_rose, wind_law, wind_rose
+from driftcore.results import Forecast
 from driftcore.statistics import wilson
 
 if TYPE_CHECKING:

@@ -26,7 +26,6 @@ from driftcore.drawing import (
 )
 from driftcore.earth import KM_PER_DEGREE
 from driftcore.errors import ScenarioError
-from driftcore.forecast import Forecast
 from driftcore.map_drawing import (
     COLOUR_BAR,
     add_colour_bar,
@@ -40,6 +39,7 @@ from driftcore.map_drawing import (
     release_of,
     start_of,
 )
+from driftcore.results import Forecast
 
 if TYPE_CHECKING:
     import xarray as xr

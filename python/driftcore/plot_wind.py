@@ -40,8 +40,8 @@ from driftcore.drawing import (
     wrapped,
 )
 from driftcore.errors import ScenarioError
-from driftcore.forecast import Forecast
 from driftcore.record import WindRecord
+from driftcore.results import Forecast
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

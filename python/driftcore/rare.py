@@ -21,17 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
+from driftcore.compiled import area_core, scenario_core, solver_of
+from driftcore.ensemble_winds import Resampled
 from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
-from driftcore.forecast import (
-    Fates,
-    Resampled,
-    area_core,
-    checked_count,
-    default_threads,
-    scenario_core,
-    solver_of,
-    warn_of_failures,
-)
+from driftcore.members import Fates, checked_count, default_threads, warn_of_failures
 from driftcore.scenario import Circle, ModelName, Polygons, Scenario, area_of
 from driftcore.wind import LocalGridBootstrap
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from driftcore.coast import LandCoast
-    from driftcore.forecast import Forecast
+    from driftcore.results import Forecast
 
 __all__ = ["write"]
 

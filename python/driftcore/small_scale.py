@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from driftcore import paper
-from driftcore.forecast import Forecast, forecast, member_path
+from driftcore.ensemble_winds import member_path
+from driftcore.forecast import forecast
 from driftcore.record import Float
+from driftcore.results import Forecast
 from driftcore.wind import LocalGridBootstrap, WindPath
 
 _EPSILON = 1 / 50

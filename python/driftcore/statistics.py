@@ -55,9 +55,6 @@ class Probability(Interval):
     members: int
     level: float = 0.95
 
-    def __str__(self) -> str:
-        return f"{self.estimate:.3f} [{self.low:.3f}, {self.high:.3f}]"
-
 
 def wilson_center(count: float, members: int, level: float = 0.95) -> float:
     """Give the middle of the Wilson interval: a share that is neither 0 nor 1."""

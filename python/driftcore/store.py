@@ -41,8 +41,9 @@ from driftcore.dataset import (
 )
 from driftcore.errors import DriftCoreError, DriftCoreWarning, OutputError, ScenarioError
 from driftcore.files import check_writable
-from driftcore.forecast import checked_count, kept_of, planned
 from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
+from driftcore.members import checked_count, kept_of
+from driftcore.runs import planned
 from driftcore.scenario import RunConfiguration
 
 if TYPE_CHECKING:

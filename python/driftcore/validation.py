@@ -19,10 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from driftcore import paper
 from driftcore.check import Check
-from driftcore.forecast import Forecast, forecast, member_path, trajectory
+from driftcore.ensemble_winds import member_path
+from driftcore.forecast import forecast
 from driftcore.record import WindRecord
+from driftcore.results import Forecast
 from driftcore.scenario import ModelName, Scenario
 from driftcore.statistics import Probability
+from driftcore.trajectories import trajectory
 from driftcore.validation_wind import (
     ExactInLaw,
     LawOfWind,

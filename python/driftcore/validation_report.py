@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from driftcore import _core, paper, plot
-from driftcore.forecast import forecast, member_path, trajectory
+from driftcore.ensemble_winds import member_path
+from driftcore.forecast import forecast
 from driftcore.markdown import bullets, paragraphs, table
+from driftcore.trajectories import trajectory
 from driftcore.validation import (
     FULL,
     FULL_A,

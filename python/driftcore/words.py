@@ -10,7 +10,7 @@ from driftcore.configuration import read_toml
 from driftcore.geographic import Scaling
 
 if TYPE_CHECKING:
-    from driftcore.forecast import Forecast
+    from driftcore.results import Forecast
 
 
 def set_up(forecast: Forecast) -> Iterator[tuple[str, str]]:
