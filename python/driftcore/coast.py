@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import json
 import math
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from driftcore.errors import DriftCoreWarning, ScenarioError, need_geo
+from driftcore.errors import ScenarioError, need_geo, warn
 
 if TYPE_CHECKING:
     import pyproj
@@ -724,11 +723,7 @@ def _in_degrees(geometries: Geometries, system: str | None, label: str) -> Geome
     import shapely
 
     if system is None:
-        warnings.warn(
-            f"{label}: says no reference system; longitude and latitude in degrees are assumed",
-            DriftCoreWarning,
-            stacklevel=3,
-        )
+        warn(f"{label}: says no reference system; longitude and latitude in degrees are assumed")
         return geometries
     if system.upper() in {"EPSG:4326", "OGC:CRS84", "URN:OGC:DEF:CRS:OGC:1.3:CRS84"}:
         return geometries
@@ -828,9 +823,7 @@ def _repaired(polygons: Geometries, owner: Integer, label: str) -> tuple[Geometr
         f"feature {owner[k]}: {reason}" for k, reason in zip(broken, reasons, strict=False)
     )
     more = f"; and {len(broken) - _SHOWN} more" if len(broken) > _SHOWN else ""
-    warnings.warn(
-        f"{label}: polygons were repaired by parity: {shown}{more}", DriftCoreWarning, stacklevel=3
-    )
+    warn(f"{label}: polygons were repaired by parity: {shown}{more}")
     parts, of = _areas(shapely.make_valid(polygons[broken]))
     sound = np.delete(np.arange(len(polygons)), broken)
     return np.concatenate([polygons[sound], parts]), np.concatenate(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from driftcore import _core
-from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError
+from driftcore.errors import RecordError, ScenarioError, warn
 from driftcore.members import checked_count
 from driftcore.memory import require_room
 from driftcore.record import WindRecord
@@ -138,11 +137,9 @@ class Resampled:
     def warn(self) -> None:
         """Warn where the run is longer than the season."""
         if self.scenario.duration_days > self.wind.span_days:
-            warnings.warn(
+            warn(
                 f"the run lasts {self.scenario.duration_days:.0f} days, the months chosen "
-                f"{self.wind.span_days:.0f}: the simulated season goes on beyond its end",
-                DriftCoreWarning,
-                stacklevel=4,
+                f"{self.wind.span_days:.0f}: the simulated season goes on beyond its end"
             )
 
 

@@ -1,7 +1,12 @@
 """Exceptions and warnings of driftcore; their messages name the field, the value and what fits."""
 
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+_PACKAGE = str(Path(__file__).parent)
 
 
 class DriftCoreError(Exception):
@@ -22,6 +27,15 @@ class OutputError(DriftCoreError, OSError):
 
 class DriftCoreWarning(UserWarning):
     """Something suspicious that does not stop the work."""
+
+
+def warn(message: str, category: type[Warning] = DriftCoreWarning) -> None:
+    """Warn whoever called the package, however deep within it the doubt arose."""
+    level, frame = 2, sys._getframe(1)
+    # "<string>" is where dataclasses keep their constructors.
+    while frame.f_back and frame.f_code.co_filename.startswith((_PACKAGE, "<string>")):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from driftcore.earth import RADIUS_M
-from driftcore.errors import DriftCoreWarning, ScenarioError
+from driftcore.errors import ScenarioError, warn
 from driftcore.objects import FloatingBody, Leeway
 from driftcore.releases import Release, Releases
 
@@ -431,12 +430,10 @@ class GeographicScenario:
         """Say where the ordering that averaging needs does not hold."""
         problems = self.scaling.problems()
         if problems:
-            warnings.warn(
+            warn(
                 "averaging takes for small what here is not: "
                 + "; ".join(problems)
-                + '; compare with model="full"',
-                DriftCoreWarning,
-                stacklevel=4,
+                + '; compare with model="full"'
             )
 
     def describe(self) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from driftcore import _core
 from driftcore.ensemble_winds import Resampled, substeps_of
-from driftcore.errors import DriftCoreWarning, ScenarioError
+from driftcore.errors import ScenarioError, warn
 from driftcore.grids import VectorGrid
 from driftcore.hand_over import HandOver
 from driftcore.record import WindRecord, phase_of_day
@@ -152,10 +151,8 @@ class _Patterns:
             )
         has_sea = scenario.tides is not None or scenario.current is not None
         if has_sea and (x[0] > west or x[-1] < east or y[0] > south or y[-1] < north):
-            warnings.warn(
-                "the wind's grid does not cover that of the sea: who leaves it has left the domain",
-                DriftCoreWarning,
-                stacklevel=6,
+            warn(
+                "the wind's grid does not cover that of the sea: who leaves it has left the domain"
             )
         self.axes: list[Any] = [spline_axis("longitude", x), spline_axis("latitude", y)]
         values = patterns.transpose(2, 3, 0, 1)
@@ -267,10 +264,8 @@ def _phase(record: WindRecord, scenario: GeographicScenario) -> int:
     """Give the phase of the mean cycle of a wind at the origin of a run."""
     month = int(scenario.start.astype("datetime64[M]").astype(int)) % 12 + 1
     if month not in record.months:
-        warnings.warn(
+        warn(
             f"the run starts in month {month}, the wind was resampled from months "
-            f"{', '.join(map(str, record.months))}",
-            DriftCoreWarning,
-            stacklevel=6,
+            f"{', '.join(map(str, record.months))}"
         )
     return phase_of_day(record, scenario.origin)

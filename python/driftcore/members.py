@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from driftcore.dataset import STATUSES
-from driftcore.errors import DriftCoreWarning, ScenarioError
+from driftcore.errors import ScenarioError, warn
 from driftcore.memory import require_room
 
 Progress = Callable[[int, int], None]
@@ -149,9 +148,7 @@ def warn_of_failures(status: NDArray[np.int8], first: str | None, first_member: 
     """Warn of members that could not be followed, with the first failure."""
     failed = np.flatnonzero(status == STATUSES.index("failed"))
     if len(failed):
-        warnings.warn(
+        warn(
             f"{len(failed)} of {len(status)} members failed; member "
-            f"{first_member + failed[0]}: {first}",
-            DriftCoreWarning,
-            stacklevel=3,
+            f"{first_member + failed[0]}: {first}"
         )

@@ -9,7 +9,7 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from driftcore.dataset import combined
-from driftcore.errors import ScenarioError
+from driftcore.errors import ScenarioError, warn
 from driftcore.statistics import Probability, members_needed
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def until_precise(follow: Callable[_P, _F]) -> Callable[_P, _F]:
             if wanted == members:
                 break
         for warning in told.values():
-            warnings.warn(str(warning.message), warning.category, stacklevel=2)
+            warn(str(warning.message), warning.category)
         return whole
 
     return found

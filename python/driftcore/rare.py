@@ -10,7 +10,6 @@ decide how far it spreads.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from driftcore import _core
 from driftcore.compiled import area_core, scenario_core, solver_of
 from driftcore.ensemble_winds import Resampled
-from driftcore.errors import DriftCoreError, DriftCoreWarning, ScenarioError
+from driftcore.errors import DriftCoreError, ScenarioError, warn
 from driftcore.members import Fates, checked_count, default_threads, warn_of_failures
 from driftcore.scenario import Circle, ModelName, Polygons, Scenario, area_of
 from driftcore.wind import LocalGridBootstrap
@@ -450,11 +449,9 @@ def _interval(estimates: Floats, level: float = 0.95) -> tuple[float, float]:
     """
     mean = float(estimates.mean())
     if mean == 0:
-        warnings.warn(
+        warn(
             f"none of {len(estimates)} replicates reached the event: nothing is known of its "
-            "probability; more particles are needed",
-            DriftCoreWarning,
-            stacklevel=3,
+            "probability; more particles are needed"
         )
         return 0.0, 1.0
     z, freedom = NormalDist().inv_cdf(0.5 + level / 2), len(estimates) - 1

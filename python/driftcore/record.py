@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import operator
-import warnings
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from driftcore.errors import DriftCoreWarning, RecordError, reading
+from driftcore.errors import RecordError, reading, warn
 from driftcore.netcdf import open_netcdf
 
 if TYPE_CHECKING:
@@ -508,8 +507,4 @@ def _warn_of_units(velocity: Float, units: Mapping[str, str]) -> None:
                 f"(limits {_MEAN_SPEED_LIMIT} and {_RARE_SPEED_LIMIT})"
             )
     if doubts:
-        warnings.warn(
-            f"wind record: {'; '.join(doubts)}; the values are taken as m/s",
-            DriftCoreWarning,
-            stacklevel=3,
-        )
+        warn(f"wind record: {'; '.join(doubts)}; the values are taken as m/s")

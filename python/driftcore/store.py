@@ -39,7 +39,7 @@ from driftcore.dataset import (
     member_coordinates,
     times_as_numbers,
 )
-from driftcore.errors import DriftCoreError, DriftCoreWarning, OutputError, ScenarioError
+from driftcore.errors import DriftCoreError, DriftCoreWarning, OutputError, ScenarioError, warn
 from driftcore.files import check_writable
 from driftcore.geographic_configuration import GeographicConfiguration, read_configuration
 from driftcore.members import checked_count, kept_of
@@ -204,7 +204,7 @@ def run_stored(
                 for message in messages:
                     if message not in told:
                         told.add(message)
-                        warnings.warn(message, DriftCoreWarning, stacklevel=3)
+                        warn(message)
                 if progress is not None:
                     progress(store.done, store.members)
             store.finish()
@@ -458,11 +458,9 @@ class _Growing:
         for number, checksum in list(self.manifest["chunks"].items()):
             if _checksum(self._files(int(number)), self.part) != checksum:
                 first, members = self.sizes[int(number)]
-                warnings.warn(
+                warn(
                     f"{self.part}: chunk {number} (members {first} to {first + members - 1}) is "
-                    "damaged; they are followed again",
-                    DriftCoreWarning,
-                    stacklevel=5,
+                    "damaged; they are followed again"
                 )
                 del self.manifest["chunks"][number]
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import operator
-import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
-from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError
+from driftcore.errors import RecordError, ScenarioError, warn
 from driftcore.memory import require_room, require_room_for
 from driftcore.record import (
     Float,
@@ -205,11 +204,9 @@ class LocalGridBootstrap:
                 f"their segment; at least {_LEAST_ROWS} are needed ({record.describe()})"
             )
         if seasons < _FEW_SEASONS:
-            warnings.warn(
+            warn(
                 f"the wind record has {seasons} season(s): the forecast knows the variability "
-                f"inside them, not between years ({record.describe()})",
-                DriftCoreWarning,
-                stacklevel=2,
+                f"inside them, not between years ({record.describe()})"
             )
         phase, cycle = mean_cycle(record)
         anomaly = record.velocity - cycle[phase]

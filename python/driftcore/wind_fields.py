@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from driftcore.check import Check
-from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError
+from driftcore.errors import RecordError, ScenarioError, warn
 from driftcore.grids import GridSource, VectorGrid, read_wind_grid
 from driftcore.record import Float, Gaps, Integer, WindRecord, mean_cycle, read_record
 from driftcore.wind import (
@@ -303,11 +302,9 @@ class FieldBootstrap:
         if not _LEADING <= len(found.share) <= most:
             found = gridded.components(min(max(_LEADING, len(found.share)), most))
         if found.share.sum() < _LEAST_SHARE:
-            warnings.warn(
+            warn(
                 f"{len(found.share)} components carry {found.share.sum():.2f} of the wind's "
-                "variance, more cannot be told of this record; give a smaller region or more years",
-                DriftCoreWarning,
-                stacklevel=2,
+                "variance, more cannot be told of this record; give a smaller region or more years"
             )
         leading = np.ascontiguousarray(found.scores[:, :_LEADING])
         bootstrap = LocalGridBootstrap.fit(

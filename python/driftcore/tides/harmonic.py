@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError
+from driftcore.errors import RecordError, ScenarioError, warn
 from driftcore.record import listed
 from driftcore.tides.atlas import DIMS, TidalAtlas
 from driftcore.tides.axes import checked_axis
@@ -151,10 +150,8 @@ def fit(
             "constituents"
         )
     if left_out:
-        warnings.warn(
-            f"{left_out} places with too few values, or gaps that hide a constituent, are left out",
-            DriftCoreWarning,
-            stacklevel=2,
+        warn(
+            f"{left_out} places with too few values, or gaps that hide a constituent, are left out"
         )
 
     axes = {name: current[name] for name in ("latitude", "longitude")}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from os import PathLike, fspath
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from driftcore.errors import DriftCoreWarning, RecordError, ScenarioError, reading
+from driftcore.errors import RecordError, ScenarioError, reading, warn
 from driftcore.netcdf import open_netcdf
 from driftcore.record import listed
 from driftcore.tides.atlas import DIMS, TidalAtlas
@@ -132,11 +131,9 @@ def from_atlas(
             f"{_FASTEST:g} m/s; state the units with units="
         )
     if reader.long_periods:
-        warnings.warn(
+        warn(
             f"constituents of long period are left out: {listed(sorted(reader.long_periods))}; "
-            "they belong to the residual current",
-            DriftCoreWarning,
-            stacklevel=2,
+            "they belong to the residual current"
         )
     return TidalAtlas(atlas) if region is None else TidalAtlas(atlas).sel_region(*region)
 
@@ -450,11 +447,9 @@ class _Reader:
                 'with phase_units="degrees"'
             )
         if _ANGLES[unit] == 1 and phase.size > 3 and 0 < largest <= full_circle:
-            warnings.warn(
+            warn(
                 f"{label}: no phase in {variable!r} is above {largest:.3g}°; if they are radians, "
-                'say phase_units="radians"',
-                DriftCoreWarning,
-                stacklevel=4,
+                'say phase_units="radians"'
             )
         return phase * _ANGLES[unit]
 
