@@ -153,7 +153,7 @@ def test_what_is_refused(plane: dc.Forecast, given: dict[str, Any], message: str
 def test_refused_files(plane: dc.Forecast, sea: dc.Forecast, tmp_path: Path) -> None:
     with pytest.raises(dc.ScenarioError, match=r"path: .*film.avi' is not accepted"):
         animation.save(plane, tmp_path / "film.avi")
-    with pytest.raises(dc.ScenarioError, match="presence: not in the dataset"):
+    with pytest.raises(dc.ScenarioError, match=r"kind: .* has none \(`\[maps\]`"):
         animation.animate(sea, kind="maps")
     none = plane.dataset.isel(kept_member=slice(0))
     with pytest.raises(dc.ScenarioError, match="no paths were kept"):

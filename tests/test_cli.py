@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
+import typer
 import xarray as xr
 
 import driftcore as dc
@@ -210,6 +212,17 @@ def test_help_fits_eighty_columns(driftcore: Command, command: list[str], words:
     assert all(word in result.out for word in words)
 
 
+def test_the_reference_holds_every_command_and_option() -> None:
+    page = (Path(__file__).parents[1] / "docs/api/cli.md").read_text(encoding="utf-8")
+    told = dict(re.findall(r"^\| `([a-z]+)[^|]*\|(.*)\|$", page, re.MULTILINE))
+    commands = typer.main.get_command(cli.app).commands  # type: ignore[attr-defined]
+    assert set(told) == set(commands)
+    everywhere = {"--help", "--quiet", "--json", "--overwrite", "--threads", "--output", "--coast"}
+    for name, command in commands.items():
+        for option in {o for p in command.params for o in p.opts if o.startswith("--")}:
+            assert f"`{option}" in (page if option in everywhere else told[name]), (name, option)
+
+
 def test_version(driftcore: Command) -> None:
     assert driftcore("--version") == (0, f"driftcore {dc.__version__}\n", "")
 
@@ -268,6 +281,10 @@ def test_a_forecast_outlives_its_coast(
     Path("land.json").unlink()
     assert cli._result(forecast)["stretches"] == []
     assert "warning: no stretches of the coast: coast.file:" in capsys.readouterr().err
+    forecast.to_netcdf("out.nc")
+    film = driftcore("animate", "out.nc", "-o", "film.gif", "--frames", 2)
+    assert (film.code, film.out) == (0, "wrote film.gif\n")
+    assert "coast.file:" in film.err  # it draws the scenario's where it can
 
 
 def test_check_estimates_the_cost(driftcore: Command) -> None:
@@ -358,11 +375,14 @@ def test_the_guide_runs_from_an_empty_folder(tmp_path: Path) -> None:
     guide = Path(__file__).parents[1] / "docs/guide/first_forecast.md"
     text = guide.read_text(encoding="utf-8")
     faster = "sed -i -e 's/members = 1000/members = 20/' -e 's/^# h =/h = 0.3/' my.toml\n"
-    parts = [text.split(f"<!-- {name} -->\n```bash\n")[1] for name in ("own", "new", "edit", "run")]
-    own, new, edit, run = (part.split("```\n")[0] for part in parts)
+    parts = [
+        text.split(f"<!-- {name} -->\n```bash\n")[1]
+        for name in ("own", "new", "edit", "run", "show")
+    ]
+    own, new, edit, run, show = (part.split("```\n")[0] for part in parts)
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     subprocess.run(  # noqa: S603 (our own guide)
-        ["bash", "-euo", "pipefail", "-c", own + new + edit + faster + run],  # noqa: S607
+        ["bash", "-euo", "pipefail", "-c", own + new + edit + faster + run + show],  # noqa: S607
         cwd=tmp_path,
         env={**os.environ, "PATH": path},
         check=True,
@@ -649,6 +669,7 @@ def test_outputs_that_cannot_be_written(driftcore: Command) -> None:
         f"{name}.nc": "cannot be written: File name too long",
     }
     with unchanged():
+        refused(driftcore("run", scenario, "-o", "out.csv"), "--output: 'out.csv'", "ends in .nc")
         for output, words in refusals.items():
             refused(driftcore("run", scenario, "-o", output, "--overwrite"), words)
         for output in ("scenario.toml/folder", name):

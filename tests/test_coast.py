@@ -456,6 +456,12 @@ def test_what_is_no_land_is_refused(
         LandCoast.from_file(tmp_path / name)
 
 
+def test_a_table_is_no_map(tmp_path: Path) -> None:
+    (tmp_path / "wind.csv").write_text("time,u10,v10\n2026-07-01,1,2\n")
+    with pytest.raises(dc.ScenarioError, match=r"wind.csv: is a table without geometry"):
+        LandCoast.from_file(tmp_path / "wind.csv")
+
+
 def test_what_is_no_column_geometry_or_point_is_refused(tmp_path: Path, coast: LandCoast) -> None:
     write(tmp_path / "land.shp")
     (tmp_path / "land.geojson").write_text(json.dumps(features(*LAND)))

@@ -203,7 +203,7 @@ def test_clouddrift_reads_ragged_arrays(sea: dc.GeographicForecast, tmp_path: Pa
     ("name", "form", "message"),
     [
         ("a.shp", None, "path: .*a.shp' is not accepted; .* .gpkg"),
-        ("a.nc", None, "format: None is not accepted for .nc"),
+        ("a.nc", None, "format: is missing for .nc"),
         ("a.nc", "csv", "format: 'csv' is not accepted for .nc"),
         ("a.csv", "opendrift", "format: 'opendrift' is not accepted for .csv"),
     ],

@@ -271,6 +271,14 @@ def test_a_file_that_is_there_stays(forecast: dc.GeographicForecast, path: Path)
     assert path.read_bytes() == before
 
 
+def test_what_it_refuses(plane: dc.Forecast, tmp_path: Path) -> None:
+    with pytest.raises(dc.ScenarioError, match=r"path: .*page.pdf' is not .* ends in .html"):
+        dc.report.write(plane, tmp_path / "page.pdf")
+    with pytest.raises(dc.ScenarioError, match=r"forecast: str is not .*open_forecast"):
+        dc.report.write("out.nc", tmp_path / "page.html")  # type: ignore[arg-type]  # refused
+    assert not list(tmp_path.iterdir())
+
+
 def test_without_bokeh_it_names_the_extra(
     plane: dc.Forecast, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

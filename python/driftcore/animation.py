@@ -134,6 +134,11 @@ def animate(
         kind = "maps" if "presence" in dataset else "members"
     if kind not in ("maps", "members"):
         raise ScenarioError(f"kind: {kind!r} is not accepted; 'maps' or 'members'")
+    if kind == "maps" and "presence" not in dataset:
+        raise ScenarioError(
+            "kind: 'maps' is not accepted: the forecast has none (`[maps]` in its scenario makes "
+            "them); 'members'"
+        )
     with plot_extra():
         from matplotlib.animation import FuncAnimation
     draw = _maps if kind == "maps" else _members

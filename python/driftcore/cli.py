@@ -85,7 +85,7 @@ ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario
 Silent = Annotated[bool, typer.Option("--quiet", "-q", help="Do not list the files written.")]
 Coast = Annotated[
     Path | None,
-    typer.Option(help="Land to draw on the real sea; default that of the package."),
+    typer.Option(help="Land to draw on the real sea; default that of the scenario."),
 ]
 ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast (.nc or .zarr).")]
 
@@ -227,6 +227,11 @@ def run(
                     f"--{name}: is of a store; name one that ends in .zarr, not {output.name}"
                 )
         check_writable(output, overwrite)
+        if output.suffix.lower() != ".nc":
+            raise ScenarioError(
+                f"--output: '{output}' is not accepted; a name that ends in .nc, or .zarr for a "
+                "store. Other formats: driftcore export"
+            )
         forecast = _run(configuration, folder, threads, quiet_bar)
         forecast.to_netcdf(output, overwrite)
     if as_json:
@@ -509,11 +514,8 @@ def plot(
     with filling(target, overwrite) as folder:
         if is_geographic(dataset):
             from driftcore import plot_map
-            from driftcore.coast import LandCoast
 
-            land = LandCoast.from_file(coast) if coast is not None else _coast(opened)
-            land = land or LandCoast.default()
-            written = plot_map.save_all(dataset, folder, land)
+            written = plot_map.save_all(dataset, folder, _land(opened, coast))
         else:
             written = plot.save_all(dataset, folder)
     _list_written([target / path.name for path in written], quiet, as_json)
@@ -541,16 +543,12 @@ def animate(
     mp4 needs ffmpeg, the system's or that of `pip install "driftcore[animation]"`.
     """
     from driftcore import animation
-    from driftcore.coast import LandCoast
     from driftcore.dataset import is_geographic
     from driftcore.results import open_forecast
 
-    dataset = open_forecast(forecast).dataset
-    land = None
-    if coast is not None:
-        land = LandCoast.from_file(coast)
-    elif is_geographic(dataset):
-        land = LandCoast.default()
+    opened = open_forecast(forecast)
+    dataset = opened.dataset
+    land = _land(opened, coast) if is_geographic(dataset) else None
     with _bar("frames", quiet or as_json) as progress:
         chosen: Any = kind  # anything else is refused by its name
         animation.save(dataset, output, land, chosen, frames, fps, overwrite, progress)
@@ -597,10 +595,7 @@ def report(
         Path | None,
         typer.Option("--output", "-o", help="HTML file to write; default beside the forecast."),
     ] = None,
-    coast: Annotated[
-        Path | None,
-        typer.Option(help="Land to draw on the real sea; default that of the scenario."),
-    ] = None,
+    coast: Coast = None,
     overwrite: Overwrite = False,
     quiet: Silent = False,
     as_json: AsJson = False,
@@ -753,6 +748,14 @@ def _coast(forecast: Any) -> LandCoast | None:
         _say("yellow", "warning", f"no stretches of the coast: {error}")
         return None
     return coast
+
+
+def _land(forecast: Any, file: Path | None) -> LandCoast:
+    """Land to draw: that of a file, else that of the scenario, else that of the package."""
+    from driftcore.coast import LandCoast
+
+    land = _coast(forecast) if file is None else LandCoast.from_file(file)
+    return LandCoast.default() if land is None else land
 
 
 def _stretches(forecast: Forecast) -> list[dict[str, Any]]:

@@ -703,6 +703,8 @@ def _read_layer(
     except Exception as error:
         # GDAL answers a damaged file with whatever the damage leads it to.
         raise ScenarioError(f"{file}: cannot be read as a map: {error}") from None
+    if wkb is None:
+        raise ScenarioError(f"{file}: is a table without geometry; give a map of land polygons")
     names = [None] * len(wkb) if name_column is None else list(values[0])
     return np.asarray(shapely.from_wkb(wkb), dtype=object), names, meta["crs"]
 

@@ -409,6 +409,7 @@ def read_netcdf(path: Path) -> xr.Dataset:
     OutputError
         The file is missing, is not NetCDF, or was not written by driftcore.
     """
+    import h5py  # type: ignore[import-untyped]  # has no types
     import xarray as xr
 
     import driftcore.accessor  # noqa: F401 (gives the dataset its `.driftcore`)
@@ -418,6 +419,8 @@ def read_netcdf(path: Path) -> xr.Dataset:
             raise FileNotFoundError("no such file")
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
+        if not h5py.is_hdf5(path):
+            raise ValueError("it is another kind of file; name one that `driftcore run` wrote")
         with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as dataset:
             loaded = dataset.load()
     except Exception as error:

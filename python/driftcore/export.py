@@ -99,9 +99,9 @@ def export(
     if suffix not in known:
         raise ScenarioError(f"path: '{path}' is not accepted; a name ending in {', '.join(known)}")
     if (suffix == ".nc") != (format is not None) or format not in (None, "opendrift", "clouddrift"):
+        given = "is missing" if format is None else f"{format!r} is not accepted"
         raise ScenarioError(
-            f"format: {format!r} is not accepted for {suffix}; 'opendrift' or 'clouddrift' for "
-            ".nc, none for others"
+            f"format: {given} for {suffix}; 'opendrift' or 'clouddrift' for .nc, none for others"
         )
     check_writable(path, overwrite)
     if suffix == ".csv":

@@ -25,7 +25,7 @@ from driftcore.coast import near_longitude, place_name
 from driftcore.configuration import read_toml
 from driftcore.dataset import STATUSES, is_geographic
 from driftcore.earth import KM_PER_DEGREE
-from driftcore.errors import DriftCoreError
+from driftcore.errors import DriftCoreError, ScenarioError
 from driftcore.files import check_writable, replacing
 from driftcore.geographic import Scaling
 from driftcore.map_drawing import surroundings
@@ -86,7 +86,7 @@ def write(
     forecast : Forecast
         On the real sea, or of the paper's case. With maps the page has a slider of their times.
     path : path
-        File to write. It holds all that it needs and asks for no network.
+        File to write, ``.html``. It holds all that it needs and asks for no network.
     coast : LandCoast, optional
         Land to draw on the real sea; its stretches, if any, are those that strandings are summed
         up by. Default that of the forecast's configuration, or the land of the package.
@@ -97,10 +97,19 @@ def write(
     ------
     OutputError
         The file exists and `overwrite` is not set, or it cannot be written.
+    ScenarioError
+        `forecast` is none, or the suffix is another.
     DriftCoreError
         Bokeh is missing.
     """
+    if not hasattr(forecast, "dataset"):
+        raise ScenarioError(
+            f"forecast: {type(forecast).__name__} is not accepted; a Forecast, as "
+            "driftcore.open_forecast reads it"
+        )
     target = Path(path)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise ScenarioError(f"path: '{target}' is not accepted; a name that ends in .html")
     check_writable(target, overwrite)
     try:
         import bokeh  # noqa: F401  # met before any work

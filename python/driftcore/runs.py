@@ -66,6 +66,11 @@ def run(
     OutputError
         The store cannot be written, is in use, or is of another run: what differs is told.
     """
+    if not hasattr(configuration, "ensemble"):
+        raise ScenarioError(
+            f"configuration: {type(configuration).__name__} is not accepted; what "
+            "driftcore.read_configuration(file) gives"
+        )
     if store is None:
         given = {"resume": resume, "overwrite": overwrite, "chunk": chunk, "client": client}
         for name, value in given.items():
