@@ -322,3 +322,20 @@ def test_tides_leave_warnings_as_they_are() -> None:
     before: list[Any] = list(warnings.filters)
     dc.tides.biscay()
     assert warnings.filters == before
+
+
+@pytest.mark.parametrize(
+    ("region", "cell", "message"),
+    [
+        ((-6.0, 44.0, -1.0, 48.0), 4.8e-7, "cell: 4.8e-07 is not accepted"),
+        ((-6.0, 44.0, -1.0, 48.0), 5.6e-309, "cell: 5.6"),
+        ((6.0, 44.0, -1.0, 48.0), 5.6e-309, "region: "),
+    ],
+)
+def test_absurd_cells_are_refused(
+    region: tuple[float, float, float, float], cell: float, message: str
+) -> None:
+    from driftcore.geographic_configuration import MapConfiguration
+
+    with pytest.raises(dc.ScenarioError, match=message):
+        MapConfiguration(region=region, cell=cell, days=(5.0,))

@@ -236,3 +236,8 @@ BOW_TIE = [(0, 0), (1, 1), (1, 0), (0, 1)]
 def test_what_is_no_release_is_refused(make: Any, message: str) -> None:
     with pytest.raises(dc.ScenarioError, match=message):
         make()
+
+
+def test_a_corner_at_the_pole_is_refused() -> None:
+    with pytest.raises(dc.ScenarioError, match=r"coordinates: .* it has no even area"):
+        Release.polygon([(-4.2, 90.0), (-4.0, 47.1), (-4.0, 47.3)], DAY)

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from driftcore.tides import TidalAtlas
 
 KIND = "geographic"
-# In a row of a map: of a metre around the earth.
-_MOST_CELLS = 4e7
+# In a row of a map: finer ones would not fit into memory.
+_MOST_CELLS = 1e5
 _NATURAL_EARTH = "natural-earth"
 # Bodies afloat follow a few percent of the wind; 1 is the paper's.
 _LARGEST_WIND_FACTOR = 0.1
@@ -220,9 +220,9 @@ class MapConfiguration(Configuration):
             if count > _MOST_CELLS:
                 raise ValueError(
                     f"cell: {self.cell:g} is not accepted; {length:g} degrees would hold "
-                    f"{count:.3g} cells, at most {_MOST_CELLS:.0e}"
+                    f"{count:.3g} cells in a row, at most {_MOST_CELLS:.0e}"
                 )
-            if not (round(count) >= 1 and abs(count - round(count)) < 1e-6 * count):
+            if not (count >= 0.5 and abs(count - round(count)) < 1e-6 * count):
                 raise ValueError(
                     f"region: {length:g} degrees from {name} are not accepted; it should be a "
                     f"whole number of cells of {self.cell:g}"

@@ -451,5 +451,11 @@ def _triangles(rings: tuple[tuple[Position, ...], ...]) -> tuple[Float, Any, flo
     fine = shapely.segmentize(shape, max(east - west, north - south) / _PARTS_OF_A_SIDE)
     plane = pyproj.Transformer.from_crs("EPSG:4326", "+proj=cea +ellps=WGS84", always_xy=True)
     flat = shapely.transform(fine, lambda x: np.column_stack(plane.transform(x[:, 0], x[:, 1])))
-    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(flat))
+    try:
+        parts = shapely.get_parts(shapely.constrained_delaunay_triangles(flat))
+    except shapely.GEOSException as error:
+        raise ValueError(
+            f"coordinates: a polygon with bounds {shape.bounds} (longitudes from {middle:g}) is "
+            f"not accepted, it has no even area: {error}"
+        ) from None
     return shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3], plane, middle
