@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from driftcore import _core
 from driftcore.errors import ScenarioError
 from driftcore.memory import require_room, require_room_for
-from driftcore.scenario import Circle, Polygons, Scenario, check_order
+from driftcore.scenario import Circle, Scenario, check_order
 
 if TYPE_CHECKING:
     from driftcore.geographic import GeographicScenario
@@ -51,10 +52,10 @@ def scenario_core(scenario: Scenario) -> _core.Scenario:
     return compiled
 
 
-def area_core(field: str, area: Polygons) -> _core.Coast:
-    """Build the core's shape of an area that is entered from outside."""
+def area_core(field: str, rings: Iterable[ArrayLike]) -> _core.Coast:
+    """Build the core's shape of an area that is entered from outside, by its rings."""
     try:
-        return _core.Coast.polygons([np.array(ring) for ring in area.rings], inside=False)
+        return _core.Coast.polygons([np.array(ring) for ring in rings], inside=False)
     except ValueError as error:
         raise ScenarioError(f"{field}: {error}") from None
 

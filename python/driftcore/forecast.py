@@ -197,7 +197,9 @@ def forecast(
         maps=maps,
         targets=shapes,
     )
-    areas = [area_core(f"targets.{name}", area) for name, area in configuration.targets.items()]
+    areas = [
+        area_core(f"targets.{name}", area.rings) for name, area in configuration.targets.items()
+    ]
     counted = None
     if maps is not None:
         regular = regular_times(scenario.duration, maps.interval or scenario.period / 8)

@@ -27,7 +27,7 @@ from driftcore.scenario import (
     Polygons,
     RunConfiguration,
     WindConfiguration,
-    area_of,
+    areas_of,
 )
 
 if TYPE_CHECKING:
@@ -314,12 +314,7 @@ class GeographicConfiguration(Configuration):
     def _switched_off(cls, value: Any) -> Any:
         return None if isinstance(value, str) and value == NOTHING else value
 
-    @field_validator("targets", mode="before")
-    @classmethod
-    def _targets_from_rings(cls, value: Any) -> Any:
-        if not isinstance(value, Mapping):
-            raise ValueError(f"{value!r} is not accepted; it should be a table of name = ring")
-        return {str(name): area_of(str(name), shape) for name, shape in value.items()}
+    _targets_from_rings = field_validator("targets", mode="before")(areas_of)
 
     @model_validator(mode="after")
     def _released_one_way(self) -> Self:

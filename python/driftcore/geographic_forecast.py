@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from driftcore import _core
-from driftcore.compiled import solver_of
+from driftcore.compiled import area_core, solver_of
 from driftcore.configuration import read_toml
 from driftcore.dataset import (
     STATUS_ATTRIBUTES,
@@ -400,11 +400,8 @@ def _area(scenario: GeographicScenario, name: str, area: Any) -> _core.Coast:
             )
         points = points - np.array(scenario.reference)
         points[:, 0] -= 360 * np.round(points[:, 0].mean() / 360)
-        rings.append(np.ascontiguousarray(points))
-    try:
-        return _core.Coast.polygons(rings, False)
-    except ValueError as error:
-        raise ScenarioError(f"targets.{name}: {error}") from None
+        rings.append(points)
+    return area_core(f"targets.{name}", rings)
 
 
 def _maps(

@@ -223,7 +223,7 @@ class _Splitting:
         self.compiled = scenario_core(scenario)
         self.winds = Resampled(scenario, wind, solver, seed)
         self.area = area
-        self.areas = [] if area is None else [area_core("event", area)]
+        self.areas = [] if area is None else [area_core("event", area.rings)]
         step = wind.record.step_h / scenario.hours_per_unit
         steps = math.ceil(self.winds.end / step - 1e-9)
         # At synoptic steps about a tide apart: the wind until then is drawn, that after it is not.

@@ -248,6 +248,33 @@ class EnsembleConfiguration(MembersConfiguration):
     outputs_per_tide: PositiveFloat = Field(default=8, description="positions kept per tide")
 
 
+def area_of(name: str, shape: Any) -> Polygons:
+    """Polygons from a ring of points, from Polygons, or from a polygon of another library."""
+    if isinstance(shape, Polygons):
+        return shape
+    fields: Any = shape
+    geometry: Any = getattr(shape, "__geo_interface__", None)
+    if geometry is not None:
+        kind, parts = geometry["type"], geometry["coordinates"]
+        if kind not in ("Polygon", "MultiPolygon"):
+            raise ValueError(f"{name}: a {kind} is not accepted; give a polygon")
+        parts = [parts] if kind == "Polygon" else parts
+        fields = {"rings": [ring for rings in parts for ring in rings]}
+    elif not isinstance(shape, Mapping):
+        fields = {"rings": (shape,)}
+    try:
+        return Polygons(**fields)
+    except ScenarioError as error:
+        raise ScenarioError(f"{name}.{error}") from None
+
+
+def areas_of(value: Any) -> Any:
+    """Areas by name, each as `area_of` takes it."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{value!r} is not accepted; it should be a table of name = ring")
+    return {str(name): area_of(str(name), shape) for name, shape in value.items()}
+
+
 class RunConfiguration(Configuration):
     """Everything that names a forecast: what `driftcore run` reads."""
 
@@ -261,12 +288,7 @@ class RunConfiguration(Configuration):
         default={}, description="name = [[x, y], ...]: areas whose first entry is noted"
     )
 
-    @field_validator("targets", mode="before")
-    @classmethod
-    def _targets_from_rings(cls, value: Any) -> Any:
-        if not isinstance(value, Mapping):
-            raise ValueError(f"{value!r} is not accepted; it should be a table of name = ring")
-        return {str(name): area_of(str(name), shape) for name, shape in value.items()}
+    _targets_from_rings = field_validator("targets", mode="before")(areas_of)
 
     @model_validator(mode="after")
     def _maps_fit_the_run(self) -> RunConfiguration:
@@ -287,23 +309,3 @@ class RunConfiguration(Configuration):
                 f"at most {MOST_POSITIONS:.0e}"
             )
         return self
-
-
-def area_of(name: str, shape: Any) -> Polygons:
-    """Polygons from a ring of points, from Polygons, or from a polygon of another library."""
-    if isinstance(shape, Polygons):
-        return shape
-    fields: Any = shape
-    geometry: Any = getattr(shape, "__geo_interface__", None)
-    if geometry is not None:
-        kind, parts = geometry["type"], geometry["coordinates"]
-        if kind not in ("Polygon", "MultiPolygon"):
-            raise ValueError(f"{name}: a {kind} is not accepted; give a polygon")
-        parts = [parts] if kind == "Polygon" else parts
-        fields = {"rings": [ring for rings in parts for ring in rings]}
-    elif not isinstance(shape, Mapping):
-        fields = {"rings": (shape,)}
-    try:
-        return Polygons(**fields)
-    except ScenarioError as error:
-        raise ScenarioError(f"{name}.{error}") from None
