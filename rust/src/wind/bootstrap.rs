@@ -9,15 +9,20 @@
 //! The weights need not be computed for all rows. The rows stand in the leaves of a k-d tree, and
 //! the box of a leaf bounds the weights in it: a leaf is drawn by these bounds, a row of the leaf
 //! evenly, and accepted with the ratio of its weight to the bound. The law is that of the weights
-//! (up to rounding in single precision of the bounds, 10⁻⁷), the work that of the number of leaves.
+//! (up to rounding in single precision of the bounds, 10⁻⁷). At a wide bandwidth all leaves are
+//! bounded in one go; at a narrow one the tree is searched for those that count.
 
-use rand::{Rng, RngExt};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::error::{DriftError, finite, positive, room};
 use crate::field::Vec2;
 use crate::lanes::{Kernel, dispatch};
 
+/// How many leaves are best is decided by so many states of a simulation, so many steps apart.
+const VISITS: usize = 64;
+const STEPS_BETWEEN: usize = 4;
 /// Largest Markov order.
 pub const MAX_ORDER: usize = 8;
 const MAX_DIMENSION: usize = 2 * MAX_ORDER;
@@ -157,8 +162,25 @@ impl Bootstrap {
         for k in 0..d {
             bootstrap.columns.extend(whitened.iter().skip(k).step_by(d));
         }
-        bootstrap.leaves = Leaves::cheapest(&whitened, d, bootstrap.catalogue.bandwidth);
+        let visited = bootstrap.visited()?;
+        bootstrap.leaves = Leaves::cheapest(&whitened, d, bootstrap.catalogue.bandwidth, &visited);
         Ok(bootstrap)
+    }
+
+    /// Some whitened states that a simulation comes to.
+    fn visited(&self) -> Result<Vec<State>, DriftError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let mut chain = self.start(None, &mut rng)?;
+        let mut visited = Vec::new();
+        for step in 0..VISITS * STEPS_BETWEEN {
+            let z = self.whiten(&chain.state);
+            if step % STEPS_BETWEEN == 0 {
+                visited.push(z);
+            }
+            let drawn = self.weigh_all(&z[..self.dimension()], &mut rng);
+            self.move_on(&mut chain, drawn, &mut rng);
+        }
+        Ok(visited)
     }
 
     /// The fitted arrays.
@@ -293,6 +315,12 @@ impl Bootstrap {
     /// Moves the chain by one step of the record.
     pub(crate) fn advance<R: Rng>(&self, chain: &mut Chain, rng: &mut R, scratch: &mut Scratch) {
         let drawn = self.draw(&self.whiten(&chain.state), rng, scratch);
+        self.move_on(chain, drawn, rng);
+    }
+
+    /// Moves the chain to the successor of the row that was drawn.
+    #[inline]
+    fn move_on<R: Rng>(&self, chain: &mut Chain, drawn: usize, rng: &mut R) {
         let noise = if self.catalogue.noise.iter().all(|b| *b == 0.0) {
             Vec2::zeros()
         } else {
@@ -337,106 +365,153 @@ impl Bootstrap {
 
 /// Leaves whose bounds are worked out together.
 const ABREAST: usize = 16;
-/// Most leaves.
+/// Most leaves that are all bounded for each draw, and most of a tree.
 const MAX_LEAVES: usize = 2048;
-/// What a leaf's bound costs as a share of a trial, about: decides how many leaves are made.
+const MAX_LEAVES_OF_TREE: usize = 1 << 14;
+/// What a leaf's bound costs as a share of a trial, about, where all are worked out, and what a
+/// block's where it is looked up in a tree: decides which it is, and how many leaves are made.
 const COST_OF_BOUND: f64 = 0.005;
+const COST_OF_BLOCK: f64 = 0.8;
+/// Blocks are opened until what the closed ones bound is no more than this share of the leaves'.
+const CLOSED: f32 = 0.3;
 
 /// One number for each of so many leaves.
 type Abreast = [f32; ABREAST];
 
-/// The rows of a catalogue in the leaves of a k-d tree, of about as many rows each.
+/// The rows of a catalogue in the leaves of a k-d tree, of about as many rows each. Neighbours make
+/// a block. Where few of many leaves count, blocks are taken as leaves of their own and make blocks
+/// of the next level: those that bound little are left closed.
 #[derive(Debug, Clone, Default)]
 struct Leaves {
     /// Lowest and highest whitened state of each leaf, block by block and component by component.
     boxes: Vec<[Abreast; 2]>,
-    /// Number of rows of each leaf, block by block; none in the last block's spare places.
+    /// Number of rows of each leaf, block by block; none in spare places.
     sizes: Vec<Abreast>,
-    /// Place of each leaf's first row in `rows` and `states`.
-    first: Vec<u32>,
+    /// Place of each leaf's first row in `rows` and `states`, block by block.
+    first: Vec<[u32; ABREAST]>,
+    /// The first of the blocks that a block's places stand for, of those from `inner` on.
+    children: Vec<u32>,
+    inner: usize,
+    /// First block of the highest level.
+    top: usize,
     /// Catalogue rows, leaf by leaf, and their whitened states.
     rows: Vec<u32>,
     states: Vec<f64>,
 }
 
 impl Leaves {
-    /// As many leaves as make a draw cheapest, by the acceptance at some states of the catalogue.
-    fn cheapest(whitened: &[f64], d: usize, bandwidth: f64) -> Self {
+    /// As many leaves as make a draw cheapest, by the acceptance at some states of the catalogue;
+    /// under a tree where that is cheaper at the places that simulations come to.
+    fn cheapest(whitened: &[f64], d: usize, bandwidth: f64, visited: &[State]) -> Self {
         let n = whitened.len() / d;
+        let stride = (n / 64).max(1);
+        let of_catalogue = || whitened.chunks_exact(d).step_by(stride);
+        let counts = |most: usize| {
+            (ABREAST.ilog2()..).map(|k| 1 << k).take_while(move |k| *k <= most.max(ABREAST))
+        };
         let mut best: Option<(f64, Self)> = None;
-        let mut count = ABREAST;
-        while count <= MAX_LEAVES && (best.is_none() || count <= n / 2) {
-            let leaves = Self::new(whitened, d, count);
-            let stride = (n / 64).max(1);
-            let trials: f64 = (whitened.chunks_exact(d).step_by(stride))
-                .map(|z| leaves.trials(z, bandwidth))
-                .sum::<f64>()
-                / n.div_ceil(stride) as f64;
-            let cost = COST_OF_BOUND * count as f64 + trials;
+        for count in counts(MAX_LEAVES.min(n / 2)) {
+            let leaves = Self::new(whitened, d, count, false);
+            let trials: f64 = of_catalogue().map(|z| leaves.trials(z, bandwidth).0).sum();
+            let cost = COST_OF_BOUND * count as f64 + trials / n.div_ceil(stride) as f64;
             if best.as_ref().is_some_and(|(least, _)| *least <= cost) {
                 break;
             }
             best = Some((cost, leaves));
-            count *= 2;
         }
-        best.map_or_else(Self::default, |(_, leaves)| leaves)
+        let visited_cost = |leaves: &Self, per_block: f64| -> f64 {
+            let cost = |z: &State| {
+                let (trials, blocks) = leaves.trials(&z[..d], bandwidth);
+                trials + per_block * blocks as f64
+            };
+            visited.iter().map(cost).sum()
+        };
+        let flat = best.map_or_else(Self::default, |(_, leaves)| leaves);
+        let mut best = (visited_cost(&flat, COST_OF_BOUND * ABREAST as f64), flat);
+        for count in counts(MAX_LEAVES_OF_TREE.min(2 * n)).skip(2) {
+            let tree = Self::new(whitened, d, count, true);
+            let cost = visited_cost(&tree, COST_OF_BLOCK);
+            if cost < best.0 {
+                best = (cost, tree);
+            }
+        }
+        best.1
     }
 
-    /// Halves the rows `count` times over at the median of their most varied component.
-    fn new(whitened: &[f64], d: usize, count: usize) -> Self {
+    /// Halves the rows until there are `count` parts, each at the median of its most varied
+    /// component; under a tree, or not.
+    fn new(whitened: &[f64], d: usize, count: usize, tree: bool) -> Self {
         let mut parts = vec![(0..(whitened.len() / d) as u32).collect::<Vec<u32>>()];
         while parts.len() < count {
             parts = (parts.into_iter()).flat_map(|rows| halves(rows, whitened, d)).collect();
         }
-        let mut leaves = Self::default();
-        for block in parts.chunks(ABREAST) {
-            let mut sizes = [0.0; ABREAST];
-            let mut boxes = vec![[[0.0; ABREAST]; 2]; d];
-            for (place, rows) in block.iter().enumerate() {
-                sizes[place] = rows.len() as f32;
-                leaves.first.push(leaves.rows.len() as u32);
-                for (k, [low, high]) in boxes.iter_mut().enumerate() {
-                    let of = rows.iter().map(|row| whitened[*row as usize * d + k]);
-                    let (least, most) = of
-                        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
-                    // Beyond what rounding to single precision can move a state.
-                    low[place] = (least - 1e-5 * (1.0 + least.abs())) as f32;
-                    high[place] = (most + 1e-5 * (1.0 + most.abs())) as f32;
-                }
-                for row in rows {
-                    leaves.rows.push(*row);
-                    let at = *row as usize * d;
-                    leaves.states.extend(&whitened[at..at + d]);
-                }
-            }
-            leaves.sizes.push(sizes);
-            leaves.boxes.extend(boxes);
+        let rows = parts.concat();
+        let states =
+            rows.iter().flat_map(|row| &whitened[*row as usize * d..][..d]).copied().collect();
+        let mut leaves = Self { rows, states, ..Self::default() };
+        let mut sizes: Vec<usize> = parts.iter().map(Vec::len).collect();
+        leaves.push(&sizes, d, 0);
+        leaves.inner = leaves.sizes.len();
+        while tree && sizes.len() > 2 * ABREAST {
+            sizes = sizes.chunks(ABREAST).map(|sizes| sizes.iter().sum()).collect();
+            let below = leaves.top;
+            leaves.top = leaves.sizes.len();
+            leaves.push(&sizes, d, below);
         }
         leaves
     }
 
-    /// Expected number of trials of a draw at the whitened state `z`.
-    fn trials(&self, z: &[f64], bandwidth: f64) -> f64 {
-        let mut scratch = Scratch::default();
-        let (nearest, totals) = self.bounds(z, bandwidth, &mut scratch);
-        let weights: f64 = (self.states.chunks_exact(z.len()))
-            .map(|state| log_weight(state, z, nearest, bandwidth).exp())
-            .sum();
-        totals.iter().map(|total| f64::from(*total)).sum::<f64>() / weights.max(f64::MIN_POSITIVE)
+    /// Adds the blocks of leaves that follow each other with so many rows; they stand for blocks
+    /// from `below` on.
+    fn push(&mut self, sizes: &[usize], d: usize, below: usize) {
+        let mut at = 0;
+        for (number, block) in sizes.chunks(ABREAST).enumerate() {
+            self.children.push((below + number * ABREAST) as u32);
+            let (mut size, mut first) = ([0.0; ABREAST], [0; ABREAST]);
+            // Spare places lie beyond everything.
+            let mut boxes = vec![[[f32::INFINITY; ABREAST]; 2]; d];
+            for (place, rows) in block.iter().enumerate() {
+                (size[place], first[place]) = (*rows as f32, at as u32);
+                for (k, [low, high]) in boxes.iter_mut().enumerate() {
+                    let of = self.states[at * d..(at + rows) * d].iter().skip(k).step_by(d);
+                    let (least, most) = of.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| {
+                        (a.min(*x), b.max(*x))
+                    });
+                    // Beyond what rounding to single precision can move a state.
+                    low[place] = (least - 1e-5 * (1.0 + least.abs())) as f32;
+                    high[place] = (most + 1e-5 * (1.0 + most.abs())) as f32;
+                }
+                at += rows;
+            }
+            self.sizes.push(size);
+            self.first.push(first);
+            self.boxes.extend(boxes);
+        }
     }
 
-    /// Works out the bounds of the leaves at `z`. Gives the squared distance that the weights are
-    /// relative to, and the totals of each place over the blocks.
-    fn bounds(&self, z: &[f64], bandwidth: f64, scratch: &mut Scratch) -> (f64, Abreast) {
-        let mut place = [0.0; MAX_DIMENSION];
-        for (place, z) in place.iter_mut().zip(z) {
-            *place = *z as f32;
-        }
-        let place = &place[..z.len()];
-        let scale = (-std::f64::consts::LOG2_E / (2.0 * bandwidth * bandwidth)) as f32;
+    /// Expected number of trials of a draw at the whitened state `z`, and number of blocks that
+    /// are bounded for it.
+    fn trials(&self, z: &[f64], bandwidth: f64) -> (f64, usize) {
+        let mut scratch = Scratch::default();
+        let Bounded { nearest, totals, count } = self.bounds(z, bandwidth, &mut scratch);
+        let weights: f64 = (self.states.chunks_exact(z.len()))
+            .map(|state| log2_weight(state, z, nearest, scale(bandwidth)).exp2())
+            .sum();
+        let total: f64 = totals.iter().map(|total| f64::from(*total)).sum();
+        (total / weights.max(f64::MIN_POSITIVE), count)
+    }
+
+    /// What work at the whitened state `z` needs.
+    fn at<'a>(&'a self, z: &'a [f64], bandwidth: f64, scratch: &'a mut Scratch) -> At<'a> {
         scratch.bound.resize(self.sizes.len(), [0.0; ABREAST]);
         scratch.sum.resize(self.sizes.len(), [0.0; ABREAST]);
-        dispatch(Bounds { boxes: &self.boxes, sizes: &self.sizes, place, scale, scratch })
+        scratch.block.resize(self.sizes.len(), 0);
+        At { leaves: self, z, scale: scale(bandwidth), scratch }
+    }
+
+    /// Works out the bounds of the leaves at `z`.
+    fn bounds(&self, z: &[f64], bandwidth: f64, scratch: &mut Scratch) -> Bounded {
+        dispatch(Bounds(self.at(z, bandwidth, scratch)))
     }
 
     /// Draws a row, or gives up after many trials.
@@ -447,54 +522,55 @@ impl Leaves {
         rng: &mut R,
         scratch: &mut Scratch,
     ) -> Option<usize> {
-        let (nearest, totals) = self.bounds(z, bandwidth, scratch);
-        let mut sums = [0.0; ABREAST];
-        let mut total = 0.0;
-        for (sum, of_place) in sums.iter_mut().zip(totals) {
-            total += of_place;
-            *sum = total;
-        }
-        for _ in 0..MAX_TRIALS {
-            // 24 bits choose the leaf, the other 40 the row in it.
-            let bits: u64 = rng.random();
-            let at = (bits >> 40) as f32 / (1_u32 << 24) as f32 * total;
-            let place = sums.iter().filter(|sum| **sum <= at).count();
-            let before = place.checked_sub(1).map_or(0.0, |k| sums[k]);
-            let place = place.min(ABREAST - 1);
-            let inside = at - before;
-            let block = scratch.sum.partition_point(|sum| sum[place] <= inside);
-            // Rounding of the sums may lead beyond the last leaf: then the trial is void.
-            let Some(bound) = scratch.bound.get(block) else { continue };
-            let size = self.sizes[block][place] as u64;
-            let row = ((bits & 0xff_ffff_ffff) * size) >> 40;
-            let at = self.first.get(block * ABREAST + place).map_or(0, |first| *first as usize)
-                + row as usize;
-            let state = &self.states[at * z.len()..(at + 1) * z.len()];
-            let threshold = rng.random::<f64>() * f64::from(bound[place]);
-            let exponent = log_weight(state, z, nearest, bandwidth);
-            // The exponential itself decides only where its bounds do not.
-            let above = f64::from(power_above((exponent * std::f64::consts::LOG2_E) as f32));
-            if threshold < above && (threshold * LOOSEST < above || threshold < exponent.exp()) {
-                return Some(self.rows[at] as usize);
-            }
-        }
-        None
+        dispatch(Draw(self.at(z, bandwidth, scratch), rng))
     }
 }
 
 /// Room for the bounds of the leaves at one state.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Scratch {
+    /// Which blocks have been bounded: those of blocks, and those that were opened.
+    block: Vec<u32>,
     /// Bound of the weight of one row, block by block.
     bound: Vec<Abreast>,
     /// Sums over the blocks, up to each, of the bounds of all rows of a leaf.
     sum: Vec<Abreast>,
 }
 
-/// Logarithm of a row's weight relative to that of the squared distance `nearest`.
-fn log_weight(state: &[f64], z: &[f64], nearest: f64, bandwidth: f64) -> f64 {
+/// What bounds come to.
+struct Bounded {
+    /// The squared distance that the weights are relative to.
+    nearest: f64,
+    /// Totals of each place over the blocks.
+    totals: Abreast,
+    /// How many blocks there are.
+    count: usize,
+}
+
+/// Squared distances of a place from the boxes of a block.
+#[inline(always)]
+fn distance2(boxes: &[[Abreast; 2]], place: &[f32]) -> Abreast {
+    let mut distance2 = [0.0; ABREAST];
+    for ([low, high], z) in boxes.iter().zip(place) {
+        for k in 0..ABREAST {
+            let beyond = z - lesser(greater(*z, low[k]), high[k]);
+            distance2[k] += beyond * beyond;
+        }
+    }
+    distance2
+}
+
+/// `−1/(2h² ln 2)`: turns a squared distance into the binary logarithm of the kernel.
+fn scale(bandwidth: f64) -> f64 {
+    -std::f64::consts::LOG2_E / (2.0 * bandwidth * bandwidth)
+}
+
+/// Binary logarithm of a row's weight relative to that of the squared distance `nearest`; see
+/// [`scale`].
+#[inline(always)]
+fn log2_weight(state: &[f64], z: &[f64], nearest: f64, scale: f64) -> f64 {
     let distance2: f64 = state.iter().zip(z).map(|(a, b)| (a - b) * (a - b)).sum();
-    (nearest - distance2) / (2.0 * bandwidth * bandwidth)
+    (distance2 - nearest) * scale
 }
 
 /// The two halves of some rows, split at the median of the component that varies most.
@@ -522,6 +598,12 @@ fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
+/// The lesser of two numbers.
+#[inline(always)]
+fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
 /// A number above `2^t`, for `t ≤ 0`, by at most 6.4 %. Between powers of two the bits of a float
 /// grow along the exponential's chord, which lies above it; a thousandth covers the rounding.
 #[inline(always)]
@@ -534,49 +616,178 @@ fn power_above(t: f32) -> f32 {
 /// [`power_above`] is no more than so many times `2^t`.
 const LOOSEST: f64 = 1.064;
 
-/// Works out the bounds of all leaves.
-struct Bounds<'a> {
-    boxes: &'a [[Abreast; 2]],
-    sizes: &'a [Abreast],
-    place: &'a [f32],
-    /// `−1/(2h² ln 2)`: turns a squared distance into the binary logarithm of the kernel.
-    scale: f32,
+/// The leaves, at a state.
+struct At<'a> {
+    leaves: &'a Leaves,
+    z: &'a [f64],
+    scale: f64,
     scratch: &'a mut Scratch,
 }
 
+/// Works out the bounds of the leaves that count.
+struct Bounds<'a>(At<'a>);
+
+/// Draws a row by them.
+struct Draw<'a, R>(At<'a>, &'a mut R);
+
+// The usual order has code of its own.
+
 impl Kernel for Bounds<'_> {
-    type Output = (f64, Abreast);
+    type Output = Bounded;
 
     #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Self { boxes, sizes, place, scale, scratch: Scratch { bound, sum } } = self;
-        let mut nearest = [f32::INFINITY; ABREAST];
-        for ((boxes, sizes), bound) in
-            boxes.chunks_exact(place.len()).zip(sizes).zip(bound.iter_mut())
-        {
-            let mut distance2 = [0.0; ABREAST];
-            for ([low, high], z) in boxes.iter().zip(place) {
-                for k in 0..ABREAST {
-                    let beyond = greater(greater(low[k] - z, z - high[k]), 0.0);
-                    distance2[k] += beyond * beyond;
-                }
-            }
-            for k in 0..ABREAST {
-                let known = if sizes[k] > 0.0 { distance2[k] } else { f32::INFINITY };
-                nearest[k] = if known < nearest[k] { known } else { nearest[k] };
-            }
-            *bound = distance2;
+    fn run(mut self) -> Bounded {
+        let d = self.0.z.len();
+        if d == 4 { self.0.bounds(4) } else { self.0.bounds(d) }
+    }
+}
+
+impl<R: Rng> Kernel for Draw<'_, R> {
+    type Output = Option<usize>;
+
+    #[inline(always)]
+    fn run(mut self) -> Option<usize> {
+        let d = self.0.z.len();
+        if d == 4 { self.0.draw(4, self.1) } else { self.0.draw(d, self.1) }
+    }
+}
+
+impl At<'_> {
+    #[inline(always)]
+    fn bounds(&mut self, d: usize) -> Bounded {
+        let Self { leaves, z, scale, scratch: Scratch { block, bound, sum } } = self;
+        let mut place = [0.0; MAX_DIMENSION];
+        for (place, z) in place.iter_mut().zip(&z[..d]) {
+            *place = *z as f32;
         }
-        let nearest = nearest.into_iter().fold(f32::INFINITY, f32::min);
+        let scale = *scale as f32;
+        let top = leaves.top..leaves.sizes.len();
+        let mut count = top.len();
+        let mut least = [f32::INFINITY; ABREAST];
+        let boxes = leaves.boxes[top.start * d..].chunks_exact(d);
+        for (boxes, bound) in boxes.zip(bound.iter_mut()) {
+            *bound = distance2(boxes, &place[..d]);
+            for k in 0..ABREAST {
+                least[k] = lesser(bound[k], least[k]);
+            }
+        }
+        let nearest = least.into_iter().fold(f32::INFINITY, lesser);
         let mut total = [0.0; ABREAST];
-        for ((bound, sum), sizes) in bound.iter_mut().zip(sum).zip(sizes) {
+        let sizes = &leaves.sizes[top.clone()];
+        for ((bound, sum), sizes) in bound.iter_mut().zip(sum.iter_mut()).zip(sizes) {
             for k in 0..ABREAST {
                 bound[k] = power_above((bound[k] - nearest) * scale);
                 total[k] += bound[k] * sizes[k];
                 sum[k] = total[k];
             }
         }
-        (f64::from(nearest), total)
+        for (block, id) in block.iter_mut().zip(top) {
+            *block = id as u32;
+        }
+        if leaves.top == 0 {
+            return Bounded { nearest: f64::from(nearest), totals: total, count };
+        }
+        // Where bounds of blocks count for much they are replaced by closer ones.
+        let mut closed_blocks = count;
+        loop {
+            // Of the leaves, and of the blocks that are closed.
+            let mut totals = [[0.0; ABREAST]; 2];
+            for (id, bound) in block[..count].iter().zip(bound.iter()) {
+                let id = *id as usize;
+                let total = &mut totals[usize::from(id >= leaves.inner)];
+                for k in 0..ABREAST {
+                    total[k] += bound[k] * leaves.sizes[id][k];
+                }
+            }
+            let [open, closed] = totals.map(|total| total.iter().sum::<f32>());
+            if closed <= CLOSED * open {
+                break;
+            }
+            // Below their mean, so that one is opened at least.
+            let threshold = CLOSED / 2.0 * (open + closed) / (ABREAST * closed_blocks) as f32;
+            let from = count;
+            for at in 0..from {
+                let id = block[at] as usize;
+                if id < leaves.inner {
+                    continue;
+                }
+                let (bound, sizes) = (&mut bound[at], &leaves.sizes[id]);
+                let mut opened = 0_u32;
+                for k in 0..ABREAST {
+                    opened |= u32::from(bound[k] * sizes[k] > threshold) << k;
+                }
+                while opened > 0 {
+                    let k = opened.trailing_zeros() as usize;
+                    opened &= opened - 1;
+                    bound[k] = 0.0;
+                    let child = leaves.children[id] as usize + k;
+                    closed_blocks += usize::from(child >= leaves.inner);
+                    block[count] = child as u32;
+                    count += 1;
+                }
+            }
+            // Nothing is opened where the sums are no numbers.
+            if count == from {
+                break;
+            }
+            for at in from..count {
+                let boxes = &leaves.boxes[block[at] as usize * d..][..d];
+                let mut bounds = distance2(boxes, &place[..d]);
+                for bound in &mut bounds {
+                    *bound = power_above((*bound - nearest) * scale);
+                }
+                bound[at] = bounds;
+            }
+        }
+        let mut total = [0.0; ABREAST];
+        for ((id, bound), sum) in block[..count].iter().zip(bound.iter()).zip(sum.iter_mut()) {
+            let sizes = &leaves.sizes[*id as usize];
+            for k in 0..ABREAST {
+                total[k] += bound[k] * sizes[k];
+            }
+            *sum = total;
+        }
+        Bounded { nearest: f64::from(nearest), totals: total, count }
+    }
+
+    #[inline(always)]
+    fn draw<R: Rng>(&mut self, d: usize, rng: &mut R) -> Option<usize> {
+        let Bounded { nearest, totals, count } = self.bounds(d);
+        let Self { leaves, z, scale, scratch } = self;
+        let z = &z[..d];
+        let Scratch { block, bound, sum } = scratch;
+        let mut sums = [0.0; ABREAST];
+        let mut total = 0.0;
+        for (sum, of_place) in sums.iter_mut().zip(totals) {
+            total += of_place;
+            *sum = total;
+        }
+        for _ in 0..MAX_TRIALS {
+            // 24 bits choose the leaf, the other 40 the row in it.
+            let bits: u64 = rng.random();
+            let at = (bits >> 40) as f32 / (1_u32 << 24) as f32 * total;
+            let place = sums.iter().map(|sum| u32::from(*sum <= at)).sum::<u32>() as usize;
+            let before = place.checked_sub(1).map_or(0.0, |k| sums[k]);
+            let place = place.min(ABREAST - 1);
+            let inside = at - before;
+            let found = sum[..count].partition_point(|sum| sum[place] <= inside);
+            // Rounding of the sums may lead beyond the last leaf: then the trial is void.
+            let Some(id) = block[..count].get(found) else { continue };
+            let size = leaves.sizes[*id as usize][place] as u64;
+            if size == 0 {
+                continue;
+            }
+            let row = ((bits & 0xff_ffff_ffff) * size) >> 40;
+            let at = leaves.first[*id as usize][place] as usize + row as usize;
+            let threshold = rng.random::<f64>() * f64::from(bound[found][place]);
+            let exponent = log2_weight(&leaves.states[at * d..][..d], z, nearest, *scale);
+            // The power itself decides only where its bounds do not.
+            let above = f64::from(power_above(exponent as f32));
+            if threshold < above && (threshold * LOOSEST < above || threshold < exponent.exp2()) {
+                return Some(leaves.rows[at] as usize);
+            }
+        }
+        None
     }
 }
 
@@ -587,12 +798,15 @@ mod tests {
     #[test]
     fn leaves_hold_every_row_once() {
         let whitened: Vec<f64> = (0..4 * 333).map(|k| (0.7 * k as f64).sin()).collect();
-        let leaves = Leaves::new(&whitened, 4, 64);
+        let leaves = Leaves::new(&whitened, 4, 64, true);
         let mut rows = leaves.rows.clone();
         rows.sort_unstable();
         assert!(rows.into_iter().eq(0..333));
-        let sizes: f32 = leaves.sizes.iter().flatten().sum();
-        assert_eq!(sizes, 333.0);
+        assert_eq!((leaves.top, leaves.children.last()), (4, Some(&0)));
+        let (of_leaves, of_blocks) = leaves.sizes.split_at(leaves.top);
+        for sizes in [of_leaves, of_blocks] {
+            assert_eq!(sizes.iter().flatten().sum::<f32>(), 333.0);
+        }
     }
 
     #[test]
@@ -604,24 +818,55 @@ mod tests {
         }
     }
 
-    /// The bound of a leaf is above the weight of each row in it.
+    /// The bound of a leaf is above the weight of each row in it, and every row has one.
     #[test]
     fn bounds_hold() {
         let whitened: Vec<f64> = (0..4 * 500).map(|k| 2.0 * (0.7 * k as f64).sin()).collect();
-        let leaves = Leaves::new(&whitened, 4, 64);
-        for (bandwidth, z) in [(0.1, [0.3, -0.2, 1.0, 0.0]), (0.5, [9.0, 8.0, -7.0, 6.0])] {
-            let mut scratch = Scratch::default();
-            let (nearest, totals) = leaves.bounds(&z, bandwidth, &mut scratch);
-            assert_eq!(scratch.sum.last(), Some(&totals));
-            for leaf in 0..64 {
-                let bound = f64::from(scratch.bound[leaf / ABREAST][leaf % ABREAST]);
-                let size = leaves.sizes[leaf / ABREAST][leaf % ABREAST] as usize;
-                let first = leaves.first[leaf] as usize;
-                for state in leaves.states[4 * first..4 * (first + size)].chunks_exact(4) {
-                    let weight = log_weight(state, &z, nearest, bandwidth).exp();
-                    assert!(weight <= bound);
+        let leaves = [(64, false), (64, true), (512, true)];
+        for (count, tree) in leaves {
+            let leaves = Leaves::new(&whitened, 4, count, tree);
+            for (bandwidth, z) in [
+                (0.02, [0.3, -0.2, 1.0, 0.0]),
+                (0.1, [0.3, -0.2, 1.0, 0.0]),
+                (0.5, [9.0, 8.0, -7.0, 6.0]),
+            ] {
+                let mut scratch = Scratch::default();
+                let Bounded { nearest, totals, count } = leaves.bounds(&z, bandwidth, &mut scratch);
+                assert_eq!(scratch.sum[count - 1], totals);
+                let mut bounded = vec![0; 500];
+                for (block, bounds) in scratch.block[..count].iter().zip(&scratch.bound) {
+                    let block = *block as usize;
+                    for (place, bound) in
+                        bounds.iter().enumerate().filter(|(_, bound)| **bound > 0.0)
+                    {
+                        let size = leaves.sizes[block][place] as usize;
+                        let first = leaves.first[block][place] as usize;
+                        let rows = leaves.states.chunks_exact(4).zip(&mut bounded);
+                        for (state, times) in rows.skip(first).take(size) {
+                            let weight = log2_weight(state, &z, nearest, scale(bandwidth)).exp2();
+                            assert!(weight <= f64::from(*bound));
+                            *times += 1;
+                        }
+                    }
                 }
+                assert_eq!(bounded, [1; 500]);
             }
         }
+    }
+
+    /// Of many leaves a tree bounds few, and closely.
+    #[test]
+    fn a_tree_opens_what_counts() {
+        let whitened: Vec<f64> = (0..4 * 4096).map(|k| 3.0 * (0.7 * k as f64).sin()).collect();
+        let place = &whitened[400..404];
+        let (of_all, all) = Leaves::new(&whitened, 4, 4096, false).trials(place, 0.05);
+        let (of_tree, opened) = Leaves::new(&whitened, 4, 4096, true).trials(place, 0.05);
+        assert!(of_tree < 2.0 * of_all, "{of_tree} {of_all}");
+        assert!(4 * opened < all, "{opened} {all}");
+        // The search ends even where the state is no number.
+        let tree = Leaves::new(&whitened, 4, 4096, true);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let drawn = tree.draw(&[f64::NAN; 4], 0.05, &mut rng, &mut Scratch::default());
+        assert!(drawn.is_none_or(|row| row < 4096));
     }
 }
