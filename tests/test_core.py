@@ -1,11 +1,17 @@
 """The boundary of the core: what it refuses, and with which exception."""
 
+import contextlib
+from typing import Any
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import driftcore as dc
 from driftcore import _core
+from driftcore.compiled import scenario_core, solver_of
+from driftcore.ensemble_winds import Resampled
+from driftcore.members import Fates
 
 
 def test_a_path_knows_its_ends() -> None:
@@ -36,3 +42,48 @@ def test_a_slow_start_that_does_not_converge_is_an_error() -> None:
     calm = dc.WindPath(np.array([-1.0, 2.0]), np.zeros((2, 2)))
     with pytest.raises(dc.DriftCoreError, match="did not converge"):
         dc.trajectory(scenario, calm, model="mean-flow", order=1, times=np.array([0.0, 1.0]))
+
+
+@pytest.mark.parametrize("given", ["one by one", "on common knots", "by lineages", "in space"])
+@pytest.mark.parametrize("first", [3, 8, 2**34])
+def test_each_member_has_a_wind(
+    given: str, first: int, embedded_wind: dc.LocalGridBootstrap
+) -> None:
+    """Else a member has none although others that it shares its steps with have, or is far off."""
+    case = dc.paper.scenario()
+    _, solver = solver_of(case, "mean-flow", None, None, True, "B", 1e-6, None)
+    calm = _core.WindPath(np.array([-1.0, 2.0]), np.zeros((2, 2)))
+    nobody = np.full((5, 1), 7, dtype=np.uint64)
+    line = (0.0, 1.0, 1)
+    winds: Any = {
+        "one by one": [calm] * 5,
+        "on common knots": _core.WindPaths(-1.0, 0.1, np.zeros((5, 31, 2))),
+        "by lineages": (
+            *Resampled(case, embedded_wind, solver, 1).core,
+            _core.Lineages(np.zeros((5, 1), dtype=np.int64), nobody),
+        ),
+        "in space": _core.FieldWinds(
+            [line, line], np.ones((1, 1, 1, 2)), (0.0, 1.0), 0, np.zeros((5, 2, 1))
+        ),
+    }[given]
+    position = np.ones((4, 2))
+    fleet = _core.Fleet(
+        case.sea.core(0.02, 0.02, 1.0),
+        *(None, None, 1.0, first, np.zeros(4), position, None, np.zeros((1, 10)), 0.0, 1),
+    )
+    for core in (scenario_core(case), fleet):
+        for start in (first, 1):
+            fates = Fates.empty(4, 0, 0, 0)
+            told = rf"winds: of members 0\.\.5 is not accepted; the run is of members {start}\.\."
+            ended = (
+                contextlib.nullcontext() if start == 1 else pytest.raises(ValueError, match=told)
+            )
+            with ended:
+                core.run(winds, solver, start, np.zeros(0), 0, fates, 1, [])
+
+
+def test_no_lineage_has_members_beyond_their_numbers() -> None:
+    """Their random streams would be those of others."""
+    for row in ([2**62, 0], [0, 2**62]):
+        with pytest.raises(ValueError, match="member: 4611686018427387904 is .* to 2⁶²"):
+            _core.Lineages(np.array([[0, 5]]), np.array([row], dtype=np.uint64))
