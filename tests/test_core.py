@@ -14,6 +14,11 @@ from driftcore.ensemble_winds import Resampled
 from driftcore.members import Fates
 
 
+def refused(told: str | None) -> contextlib.AbstractContextManager[object]:
+    """Expect a refusal, or none."""
+    return contextlib.nullcontext() if told is None else pytest.raises(ValueError, match=told)
+
+
 def test_a_path_knows_its_ends() -> None:
     path = _core.WindPath(np.array([-0.5, 0.25, 2.0]), np.zeros((3, 2)))
     assert (path.start, path.end) == (-0.5, 2.0)
@@ -75,10 +80,7 @@ def test_each_member_has_a_wind(
         for start in (first, 1):
             fates = Fates.empty(4, 0, 0, 0)
             told = rf"winds: of members 0\.\.5 is not accepted; the run is of members {start}\.\."
-            ended = (
-                contextlib.nullcontext() if start == 1 else pytest.raises(ValueError, match=told)
-            )
-            with ended:
+            with refused(None if start == 1 else told):
                 core.run(winds, solver, start, np.zeros(0), 0, fates, 1, [])
 
 
@@ -87,3 +89,18 @@ def test_no_lineage_has_members_beyond_their_numbers() -> None:
     for row in ([2**62, 0], [0, 2**62]):
         with pytest.raises(ValueError, match="member: 4611686018427387904 is .* to 2⁶²"):
             _core.Lineages(np.array([[0, 5]]), np.array([row], dtype=np.uint64))
+
+
+def test_no_sea_changes_faster_than_any_tide() -> None:
+    """Such a change is noise, which steps were made for."""
+    steady = ((2.0, 1.0, 3.0, 0.0, 0), np.ones((1, 2)))
+    axis, still = (0.0, 1.0, 4), np.zeros((1, 6, 6, 4), dtype=complex)
+    for excess, told in ((0.99, None), (1.01, "is not accepted; a tide has at most 100 of its cycl")):
+        cycles = 100 * excess / 0.02
+        fast = ((2.0, 1.0, -cycles, 0.0, 0), np.ones((1, 2)))
+        for currents in ((steady, fast), (fast, steady)):
+            with refused(told and f"cycles: .* {told}"):
+                _core.Sea.academic(0.02, *currents, 0.02)
+        with refused(told and f"constituent: .* {told}"):
+            axes = [axis, axis, (0.0, 1.0, 1)]
+            _core.Sea.constituents(0.02, axes, [(2 * np.pi * cycles, 2)], still)

@@ -385,9 +385,11 @@ impl<'a> Ensemble<'a> {
         self.winds.require(&members)?;
         match self.winds {
             Winds::Drawn { generator, seed } => {
+                generator.steps(self.end, self.sampling)?;
                 LaneWind::drawn(generator, *seed, members, self.sampling)
             }
             Winds::Branched { generator, seed, lineages } => {
+                generator.steps(self.end, self.sampling)?;
                 let lineages = &lineages[members.start as usize..members.end as usize];
                 LaneWind::drawn(generator, *seed, lineages.iter().cloned(), self.sampling)
             }
