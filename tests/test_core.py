@@ -87,7 +87,7 @@ def test_each_member_has_a_wind(
 def test_no_lineage_has_members_beyond_their_numbers() -> None:
     """Their random streams would be those of others."""
     for row in ([2**62, 0], [0, 2**62]):
-        with pytest.raises(ValueError, match="member: 4611686018427387904 is .* to 2⁶²"):
+        with pytest.raises(ValueError, match=r"member: 4611686018427387904 is .* to 2⁶²"):
             _core.Lineages(np.array([[0, 5]]), np.array([row], dtype=np.uint64))
 
 
@@ -95,7 +95,10 @@ def test_no_sea_changes_faster_than_any_tide() -> None:
     """Such a change is noise, which steps were made for."""
     steady = ((2.0, 1.0, 3.0, 0.0, 0), np.ones((1, 2)))
     axis, still = (0.0, 1.0, 4), np.zeros((1, 6, 6, 4), dtype=complex)
-    for excess, told in ((0.99, None), (1.01, "is not accepted; a tide has at most 100 of its cycl")):
+    for excess, told in (
+        (0.99, None),
+        (1.01, "is not accepted; a tide has at most 100 of its cycl"),
+    ):
         cycles = 100 * excess / 0.02
         fast = ((2.0, 1.0, -cycles, 0.0, 0), np.ones((1, 2)))
         for currents in ((steady, fast), (fast, steady)):
@@ -104,3 +107,11 @@ def test_no_sea_changes_faster_than_any_tide() -> None:
         with refused(told and f"constituent: .* {told}"):
             axes = [axis, axis, (0.0, 1.0, 1)]
             _core.Sea.constituents(0.02, axes, [(2 * np.pi * cycles, 2)], still)
+
+
+def test_no_run_has_more_response_times_than_steps_can_be() -> None:
+    sea = dc.paper.scenario().sea.core(0.02, 0.02, 1.0)
+    still = (0.0, 0.0)
+    for drag, told in ((1e6 / 3, None), (1.1e6 / 3, "drag: .* at most 1000000 response times")):
+        with refused(told):
+            _core.Scenario(sea, None, drag, 3.0, still, still)

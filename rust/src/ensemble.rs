@@ -39,6 +39,9 @@ pub struct Scenario {
 /// Tides in a run: of more, a unit is wrong.
 pub(crate) const MOST_TIDES: f64 = 1e6;
 
+/// Response times in a run: steps are explicit, so that they would be as many.
+const STIFFEST: f64 = 1e6;
+
 impl Scenario {
     /// Fails unless the numbers make sense.
     pub fn validated(self) -> Result<Self, DriftError> {
@@ -49,6 +52,10 @@ impl Scenario {
         if self.duration / self.sea.period() > MOST_TIDES {
             let accepted = format!("a run has at most {MOST_TIDES} tides");
             return Err(DriftError::invalid("duration", self.duration, accepted));
+        }
+        if self.drag * self.duration > STIFFEST {
+            let accepted = format!("a run has at most {STIFFEST} response times");
+            return Err(DriftError::invalid("drag", self.drag, accepted));
         }
         Ok(self)
     }
