@@ -436,6 +436,11 @@ def test_near_longitudes(longitude: float, reference: float) -> None:
             r"metres.geojson: bounds 100000, 6e\+06, 200000, 6.1e\+06 are not accepted",
         ),
         (
+            "hole.geojson",
+            json.dumps(features(MAINLAND)).replace("[-2.0, 47.0]", "[-2.0, Infinity]"),
+            "hole.geojson: bounds -4, 46, -1, inf are not accepted",
+        ),
+        (
             "torn.geojson",
             json.dumps(features(ISLAND)).replace('"Polygon"', '"Pentagon"'),
             "torn.geojson: feature 0 is no geometry",

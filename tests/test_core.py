@@ -1,11 +1,22 @@
 """The boundary of the core: what it refuses, and with which exception."""
 
+import contextlib
+from typing import Any
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import driftcore as dc
 from driftcore import _core
+from driftcore.compiled import scenario_core, solver_of
+from driftcore.ensemble_winds import Resampled
+from driftcore.members import Fates
+
+
+def refused(told: str | None) -> contextlib.AbstractContextManager[object]:
+    """Expect a refusal, or none."""
+    return contextlib.nullcontext() if told is None else pytest.raises(ValueError, match=told)
 
 
 def test_a_path_knows_its_ends() -> None:
@@ -36,3 +47,71 @@ def test_a_slow_start_that_does_not_converge_is_an_error() -> None:
     calm = dc.WindPath(np.array([-1.0, 2.0]), np.zeros((2, 2)))
     with pytest.raises(dc.DriftCoreError, match="did not converge"):
         dc.trajectory(scenario, calm, model="mean-flow", order=1, times=np.array([0.0, 1.0]))
+
+
+@pytest.mark.parametrize("given", ["one by one", "on common knots", "by lineages", "in space"])
+@pytest.mark.parametrize("first", [3, 8, 2**34])
+def test_each_member_has_a_wind(
+    given: str, first: int, embedded_wind: dc.LocalGridBootstrap
+) -> None:
+    """Else a member has none although others that it shares its steps with have, or is far off."""
+    case = dc.paper.scenario()
+    _, solver = solver_of(case, "mean-flow", None, None, True, "B", 1e-6, None)
+    calm = _core.WindPath(np.array([-1.0, 2.0]), np.zeros((2, 2)))
+    nobody = np.full((5, 1), 7, dtype=np.uint64)
+    line = (0.0, 1.0, 1)
+    winds: Any = {
+        "one by one": [calm] * 5,
+        "on common knots": _core.WindPaths(-1.0, 0.1, np.zeros((5, 31, 2))),
+        "by lineages": (
+            *Resampled(case, embedded_wind, solver, 1).core,
+            _core.Lineages(np.zeros((5, 1), dtype=np.int64), nobody),
+        ),
+        "in space": _core.FieldWinds(
+            [line, line], np.ones((1, 1, 1, 2)), (0.0, 1.0), 0, np.zeros((5, 2, 1))
+        ),
+    }[given]
+    position = np.ones((4, 2))
+    fleet = _core.Fleet(
+        case.sea.core(0.02, 0.02, 1.0),
+        *(None, None, 1.0, first, np.zeros(4), position, None, np.zeros((1, 10)), 0.0, 1),
+    )
+    for core in (scenario_core(case), fleet):
+        for start in (first, 1):
+            fates = Fates.empty(4, 0, 0, 0)
+            told = rf"winds: of members 0\.\.5 is not accepted; the run is of members {start}\.\."
+            with refused(None if start == 1 else told):
+                core.run(winds, solver, start, np.zeros(0), 0, fates, 1, [])
+
+
+def test_no_lineage_has_members_beyond_their_numbers() -> None:
+    """Their random streams would be those of others."""
+    for row in ([2**62, 0], [0, 2**62]):
+        with pytest.raises(ValueError, match=r"member: 4611686018427387904 is .* to 2⁶²"):
+            _core.Lineages(np.array([[0, 5]]), np.array([row], dtype=np.uint64))
+
+
+def test_no_sea_changes_faster_than_any_tide() -> None:
+    """Such a change is noise, which steps were made for."""
+    steady = ((2.0, 1.0, 3.0, 0.0, 0), np.ones((1, 2)))
+    axis, still = (0.0, 1.0, 4), np.zeros((1, 6, 6, 4), dtype=complex)
+    for excess, told in (
+        (0.99, None),
+        (1.01, "is not accepted; a tide has at most 100 of its cycl"),
+    ):
+        cycles = 100 * excess / 0.02
+        fast = ((2.0, 1.0, -cycles, 0.0, 0), np.ones((1, 2)))
+        for currents in ((steady, fast), (fast, steady)):
+            with refused(told and f"cycles: .* {told}"):
+                _core.Sea.academic(0.02, *currents, 0.02)
+        with refused(told and f"constituent: .* {told}"):
+            axes = [axis, axis, (0.0, 1.0, 1)]
+            _core.Sea.constituents(0.02, axes, [(2 * np.pi * cycles, 2)], still)
+
+
+def test_no_run_has_more_response_times_than_steps_can_be() -> None:
+    sea = dc.paper.scenario().sea.core(0.02, 0.02, 1.0)
+    still = (0.0, 0.0)
+    for drag, told in ((1e6 / 3, None), (1.1e6 / 3, "drag: .* at most 1000000 response times")):
+        with refused(told):
+            _core.Scenario(sea, None, drag, 3.0, still, still)

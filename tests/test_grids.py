@@ -1,5 +1,6 @@
 """Grids of currents and winds: what is found in files of the common makes, and what is refused."""
 
+import struct
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+import driftcore as dc
 from driftcore import RecordError
 from driftcore.grids import Kind, VectorGrid, read_vector_grid, read_wind_grid
 
@@ -123,6 +125,21 @@ def test_era5(tmp_path: Path) -> None:
     assert grid.step_h == 6
     assert not grid.missing.any()
     assert grid.source == str(tmp_path / "file.nc")
+
+
+@pytest.mark.parametrize(("index", "size"), [(0, 0), (1, 2**64 - 16)])
+def test_a_heap_without_end_is_refused(tmp_path: Path, index: int, size: int) -> None:
+    """HDF5 would step through it by 0 bytes, for ever."""
+    path = written(tmp_path, era5())
+    read_wind_grid(path)
+    data = path.read_bytes()
+    first = data.index(b"GCOL") + 16
+    damaged = struct.pack("<H6xQ", index, size)
+    path.write_bytes(data[:first] + damaged + data[first + len(damaged) :])
+    with pytest.raises(RecordError, match="is damaged: a heap in it has no end"):
+        read_wind_grid(path)
+    with pytest.raises(dc.OutputError, match=r"cannot be read .* a heap in it has no end"):
+        dc.open_forecast(path)
 
 
 @pytest.mark.parametrize("kind", ["NETCDF3_CLASSIC", "NETCDF3_64BIT"])

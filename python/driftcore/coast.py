@@ -768,8 +768,10 @@ def _polygons(shapes: Geometries, label: str) -> tuple[Geometries, Integer]:
 def _check_degrees(polygons: Geometries, label: str) -> None:
     import shapely
 
-    bounds = shapely.total_bounds(polygons)
-    if not (np.abs(bounds) <= [_CIRCLE, 90, _CIRCLE, 90]).all():
+    # Those of holes too, which bounds of polygons leave out.
+    coordinates = shapely.get_coordinates(polygons)
+    if not (np.abs(coordinates) <= [_CIRCLE, 90]).all():
+        bounds = [*coordinates.min(axis=0), *coordinates.max(axis=0)]
         shown = ", ".join(f"{value:g}" for value in bounds)
         raise ScenarioError(
             f"{label}: bounds {shown} are not accepted; they should be longitudes from -360 to "

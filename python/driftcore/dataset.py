@@ -13,6 +13,7 @@ import numpy as np
 
 from driftcore.errors import OutputError, ScenarioError
 from driftcore.files import replacing
+from driftcore.netcdf import refuse_endless
 from driftcore.statistics import standard_error
 
 if TYPE_CHECKING:
@@ -421,6 +422,7 @@ def read_netcdf(path: Path) -> xr.Dataset:
             raise IsADirectoryError("it is a folder")
         if not h5py.is_hdf5(path):
             raise ValueError("it is another kind of file; name one that `driftcore run` wrote")
+        refuse_endless(path)
         with xr.open_dataset(path, engine="h5netcdf", decode_timedelta=False) as dataset:
             loaded = dataset.load()
     except Exception as error:

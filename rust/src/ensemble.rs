@@ -1,7 +1,7 @@
 //! Monte Carlo: many members, each followed under its own wind, in parallel.
 
 use std::borrow::Cow;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -39,6 +39,9 @@ pub struct Scenario {
 /// Tides in a run: of more, a unit is wrong.
 pub(crate) const MOST_TIDES: f64 = 1e6;
 
+/// Response times in a run: steps are explicit, so that they would be as many.
+const STIFFEST: f64 = 1e6;
+
 impl Scenario {
     /// Fails unless the numbers make sense.
     pub fn validated(self) -> Result<Self, DriftError> {
@@ -49,6 +52,10 @@ impl Scenario {
         if self.duration / self.sea.period() > MOST_TIDES {
             let accepted = format!("a run has at most {MOST_TIDES} tides");
             return Err(DriftError::invalid("duration", self.duration, accepted));
+        }
+        if self.drag * self.duration > STIFFEST {
+            let accepted = format!("a run has at most {STIFFEST} response times");
+            return Err(DriftError::invalid("drag", self.drag, accepted));
         }
         Ok(self)
     }
@@ -173,6 +180,22 @@ pub enum Winds<'a> {
 }
 
 impl Winds<'_> {
+    /// Fails unless each of some members has a wind.
+    pub fn require(&self, members: &Range<u64>) -> Result<(), DriftError> {
+        let known = match self {
+            Self::Drawn { .. } => 0..u64::MAX,
+            Self::Branched { lineages, .. } => 0..lineages.len() as u64,
+            Self::Given(paths) => 0..paths.len() as u64,
+            Self::InMemory(paths) => 0..paths.members() as u64,
+            Self::Fields(winds) => winds.members(),
+        };
+        if known.start <= members.start && members.end <= known.end {
+            return Ok(());
+        }
+        let accepted = format!("the run is of members {members:?}");
+        Err(DriftError::invalid("winds", format!("of members {known:?}"), accepted))
+    }
+
     /// Wind of one member, up to `end` if it is drawn.
     pub(crate) fn wind(
         &self,
@@ -314,7 +337,7 @@ impl<'a> Ensemble<'a> {
 
     /// Follows the members of a range, in the order of their indices; groups of [`WIDTH`] share
     /// their steps, and no member depends on another.
-    pub fn follow(&self, members: std::ops::Range<u64>) -> Vec<Member> {
+    pub fn follow(&self, members: Range<u64>) -> Vec<Member> {
         let width = WIDTH as u64;
         let groups = members.start / width..members.end.div_ceil(width);
         let followed: Vec<Vec<Member>> = groups
@@ -335,7 +358,7 @@ impl<'a> Ensemble<'a> {
         followed.into_iter().flatten().collect()
     }
 
-    fn group(&self, members: std::ops::Range<u64>) -> Vec<Member> {
+    fn group(&self, members: Range<u64>) -> Vec<Member> {
         if let Some(shared) = &self.side_by_side
             && let Ok(wind) = self.lane_wind(members.clone())
         {
@@ -365,14 +388,16 @@ impl<'a> Ensemble<'a> {
     }
 
     /// The winds of the members of one group; those before the first count as absent.
-    fn lane_wind(&self, members: std::ops::Range<u64>) -> Result<LaneWind<'_>, DriftError> {
+    fn lane_wind(&self, members: Range<u64>) -> Result<LaneWind<'_>, DriftError> {
+        self.winds.require(&members)?;
         match self.winds {
             Winds::Drawn { generator, seed } => {
+                generator.steps(self.end, self.sampling)?;
                 LaneWind::drawn(generator, *seed, members, self.sampling)
             }
             Winds::Branched { generator, seed, lineages } => {
-                let range = members.start as usize..members.end as usize;
-                let lineages = lineages.get(range).unwrap_or_default();
+                generator.steps(self.end, self.sampling)?;
+                let lineages = &lineages[members.start as usize..members.end as usize];
                 LaneWind::drawn(generator, *seed, lineages.iter().cloned(), self.sampling)
             }
             Winds::InMemory(paths) => {
@@ -387,12 +412,7 @@ impl<'a> Ensemble<'a> {
 
     /// Follows a group side by side. A member whose error is estimated above the tolerance, or who
     /// leaves the data, is followed alone: that depends on nobody else.
-    fn abreast(
-        &self,
-        shared: &SideBySide,
-        mut wind: LaneWind,
-        members: std::ops::Range<u64>,
-    ) -> Vec<Member> {
+    fn abreast(&self, shared: &SideBySide, mut wind: LaneWind, members: Range<u64>) -> Vec<Member> {
         // In memory the lanes belong to fixed members, drawn winds begin with the first asked for.
         let first = match self.winds {
             Winds::InMemory(_) => members.start - members.start % WIDTH as u64,

@@ -367,6 +367,9 @@ impl Lineages {
             return Err(DriftError::invalid("lineages", found, "one member for each step").into());
         }
         let (steps, members) = (steps.as_array(), members.as_array());
+        if let Some(bad) = members.iter().find(|member| **member >= wind::MOST_MEMBERS) {
+            return Err(DriftError::invalid("member", bad, "members are numbered to 2⁶²").into());
+        }
         let lineages = steps.rows().into_iter().zip(members.rows()).map(|(steps, members)| {
             let pairs = steps.iter().zip(members).skip(1);
             wind::Lineage {
@@ -660,6 +663,7 @@ impl Scenario {
         let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
         let outputs = (times.as_slice(), keep);
         let range = checked_rows(first, keep, &into, times.len(), targets.len())?;
+        winds.require(&range)?;
         let ensemble = py
             .detach(|| Ensemble::new(&self.0, &winds, solver.0, steps_per_tide, outputs))?
             .observed(maps.map(|maps| &maps.0), &targets);
@@ -813,6 +817,7 @@ impl Fleet {
         let winds = winds.core(&paths);
         let targets: Vec<&CoreCoast> = targets.iter().map(|target| &target.get().0).collect();
         let range = checked_rows(first, keep, &into, times.len(), targets.len())?;
+        winds.require(&range)?;
         let watched =
             Watched { outputs: &times, keep, maps: maps.map(|maps| &maps.0), targets: &targets };
         run_batches(py, range, into, threads, |batch| {

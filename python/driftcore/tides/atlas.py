@@ -202,9 +202,7 @@ class TidalAtlas:
         """
         import xarray as xr
 
-        u, v = self.dataset["u"], self.dataset["v"]
-        # u and v add up to two rotating vectors; where they meet, the current is largest.
-        speed = (abs(u + 1j * v) + abs(u - 1j * v)) / 2
+        speed = self._largest()
         area = xr.zeros_like(self.dataset["latitude"]) + np.cos(np.radians(self.latitude))
         over = ("latitude", "longitude")
         scales = xr.Dataset({"maximum": speed.max(over), "mean": speed.weighted(area).mean(over)})
@@ -212,8 +210,14 @@ class TidalAtlas:
             variable.attrs["units"] = "m s-1"
         return scales
 
+    def _largest(self) -> xr.DataArray:
+        """Largest current over a tide at each place [m/s]."""
+        u, v = self.dataset["u"], self.dataset["v"]
+        # They add up to two rotating vectors; where these meet, the current is largest.
+        return (abs(u + 1j * v) + abs(u - 1j * v)) / 2
+
     def __repr__(self) -> str:
-        maximum = self.scales()["maximum"].to_series().nlargest(4)
+        maximum = self._largest().max(("latitude", "longitude")).to_series().nlargest(4)
         currents = ", ".join(f"{name} {speed:.2g} m/s" for name, speed in maximum.items())
         if others := len(self.constituents) - len(maximum):
             currents += f", {others} more"

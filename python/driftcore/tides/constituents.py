@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -57,13 +58,18 @@ def standard_name(name: object) -> str:
     return _OTHER_NAMES.get(text, text)
 
 
+@lru_cache(maxsize=1024)  # pyTMD reads its table from a file at each call
+def _species(name: str) -> int | None:
+    """First Doodson number of a standard name; None if pyTMD does not know it."""
+    try:
+        return int(pytmd().coefficients_table([name.lower()], corrections=_NODAL)[0][0])
+    except ValueError:
+        return None
+
+
 def is_known(name: str) -> bool:
     """Tell whether pyTMD knows a standard name."""
-    try:
-        pytmd().coefficients_table([name.lower()], corrections=_NODAL)
-    except ValueError:
-        return False
-    return True
+    return _species(name) is not None
 
 
 def _ids(names: Iterable[str]) -> list[str]:
@@ -72,8 +78,7 @@ def _ids(names: Iterable[str]) -> list[str]:
 
 def species_of(names: Sequence[str]) -> NDArray[np.int64]:
     """Cycles per lunar day, the first Doodson number: 0 for long periods."""
-    table = pytmd().coefficients_table(_ids(names), corrections=_NODAL)
-    return np.asarray(table[0], dtype=np.int64)
+    return np.array([_species(name) for name in names], dtype=np.int64)
 
 
 def frequency_of(names: Sequence[str]) -> Float:

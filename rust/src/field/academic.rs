@@ -2,7 +2,7 @@
 
 use num_complex::Complex64;
 
-use super::{CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2};
+use super::{CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2, slow_enough};
 use crate::error::{DriftError, finite, positive};
 
 /// `x_k · (mean + modulation · wave(2π·cycles·t)) · Σ_j s_j sin(jωt)`: one of the two
@@ -86,6 +86,7 @@ impl AcademicSea {
         for current in [&tide, &residual] {
             let SeparableCurrent { mean, modulation, cycles, phase, sines, .. } = current;
             finite("current", &[*mean, *modulation, *cycles, *phase])?;
+            slow_enough("cycles", *cycles, cycles * period)?;
             finite("harmonics", &sines.iter().flat_map(|s| [s.x, s.y]).collect::<Vec<_>>())?;
             if current.axis > 1 {
                 return Err(DriftError::invalid("axis", current.axis, "it must be 0 or 1"));

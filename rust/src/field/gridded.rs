@@ -8,7 +8,9 @@ use num_complex::Complex64;
 
 use smallvec::{SmallVec, smallvec};
 
-use super::{CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase, phasors};
+use super::{
+    CMat2, FieldBounds, Harmonic, Harmonics, SeaField, Vec2, in_phase, phasors, slow_enough,
+};
 use crate::error::{DriftError, finite, positive, product};
 
 /// Regular axis of `count` grid points; an axis of one point is constant.
@@ -173,6 +175,9 @@ impl GriddedSea {
                 bad.omega,
                 "it needs a frequency above 0",
             ));
+        }
+        for line in &lines {
+            slow_enough("constituent", line.omega, line.omega / omega)?;
         }
         let residuals = channels / 2 - tide_harmonics;
         lines.extend((0..residuals).map(|j| Harmonic::multiple(j, omega)));

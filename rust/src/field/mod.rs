@@ -65,6 +65,18 @@ pub struct FieldBounds {
     pub residual: f64,
 }
 
+/// Cycles in a tide of what a field is made of: of more, a unit is wrong.
+const MOST_CYCLES: f64 = 100.0;
+
+/// Fails unless a field may change with so many cycles in a tide.
+fn slow_enough(field: &'static str, value: f64, cycles: f64) -> Result<(), DriftError> {
+    if cycles.abs() <= MOST_CYCLES {
+        return Ok(());
+    }
+    let accepted = format!("a tide has at most {MOST_CYCLES} of its cycles");
+    Err(DriftError::invalid(field, value, accepted))
+}
+
 /// Sea-surface velocity, equations.md (2).
 pub trait SeaField: Send + Sync {
     /// Tide period `T` [time].

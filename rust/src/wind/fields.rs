@@ -1,5 +1,6 @@
 //! Winds that vary in space: patterns on a grid, added up in proportions that change with time.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::Matrix2;
@@ -116,13 +117,22 @@ impl FieldWinds {
         Ok(Self { patterns, start, step, steps, first, amplitudes, small_scale })
     }
 
+    /// The members that have a wind.
+    pub fn members(&self) -> Range<u64> {
+        match self.amplitudes.len() / (self.steps * self.patterns.count) {
+            1 => 0..u64::MAX,
+            count => self.first..self.first.saturating_add(count as u64),
+        }
+    }
+
     /// The wind of one member.
     pub fn member(&self, index: u64, sampling: Sampling) -> Result<FieldPath<'_>, DriftError> {
+        if !self.members().contains(&index) {
+            return Err(DriftError::invalid("member", index, "it has no wind"));
+        }
         let each = self.steps * self.patterns.count;
-        let members = self.amplitudes.len() / each;
-        let place = if members == 1 { 0 } else { index.saturating_sub(self.first) as usize };
-        let amplitudes = (self.amplitudes.get(place * each..(place + 1) * each))
-            .ok_or_else(|| DriftError::invalid("member", index, "it has no wind"))?;
+        let place = if each == self.amplitudes.len() { 0 } else { index - self.first } as usize;
+        let amplitudes = &self.amplitudes[place * each..(place + 1) * each];
         let small_scale = (self.small_scale.as_ref())
             .map(|(small, seed)| self.small_scale_path(small, *seed, index, sampling))
             .transpose()?;

@@ -343,6 +343,17 @@ impl WindGenerator {
         (slow + wind.slow) * (self.step / 2.0) + fast_integral
     }
 
+    /// Synoptic steps from `−lead_in` on that reach `end`; fails where their knots are too many.
+    pub(crate) fn steps(&self, end: f64, sampling: Sampling) -> Result<usize, DriftError> {
+        let (_, substeps) = self.knots(sampling);
+        let steps = self.lead_in as f64 + (end / self.step - 1e-9).ceil().max(1.0);
+        if steps.is_nan() || steps * substeps as f64 > MOST_KNOTS {
+            let accepted = format!("a wind path has at most {MOST_KNOTS} knots");
+            return Err(DriftError::invalid("end of the wind path", end, accepted));
+        }
+        Ok(steps as usize)
+    }
+
     /// The path of one member from `−lead_in` steps to `end`.
     pub fn path(
         &self,
@@ -352,12 +363,7 @@ impl WindGenerator {
         sampling: Sampling,
     ) -> Result<WindPath, DriftError> {
         let (spacing, substeps) = self.knots(sampling);
-        let steps = self.lead_in as f64 + (end / self.step - 1e-9).ceil().max(1.0);
-        if steps.is_nan() || steps * substeps as f64 > MOST_KNOTS {
-            let accepted = format!("a wind path has at most {MOST_KNOTS} knots");
-            return Err(DriftError::invalid("end of the wind path", end, accepted));
-        }
-        let steps = steps as usize;
+        let steps = self.steps(end, sampling)?;
         let start = -(self.lead_in as f64) * self.step;
         let mut wind = self.member(seed, lineage)?;
         let mut velocity = room("wind path", steps * substeps + 1)?;
