@@ -1,6 +1,7 @@
 """How the cost of a forecast grows, and what it is at a few points: the tables of performance.md.
 
     python benches/scaling.py [--quick] [--figure docs/figures/scaling.png] [-o tables.md]
+    python benches/scaling.py --only calls threads
 
 CPU time of the process, one thread, least of some repeats. The growth with the members is that of
 a whole call; the others are of following alone, without what is prepared once for all members.
@@ -194,6 +195,22 @@ def sweeps(effort: Effort) -> list[Sweep]:
             lambda points: dc.Scenario(sea=gridded_sea(3, points)),
         ),
     ]
+
+
+def whole_calls(effort: Effort) -> list[list[str]]:
+    """Cost of a forecast of 1,000 members from the call to its answer, by what it keeps."""
+    rows = []
+    wind = dc.paper.default_wind()
+    for tides, keep in ((50, 0), (50, 1000), (200, 0), (200, 1000)):
+        scenario = dc.paper.scenario(epsilon=1 / tides)
+
+        def call(members: int, scenario: Any = scenario, keep: int = keep) -> dc.Forecast:
+            return dc.forecast(scenario, wind, members=members, keep=keep, threads=1)
+
+        thousand = cpu(partial(call, 1000), effort.rounds)
+        one = cpu(partial(call, 1), 10 * effort.rounds)
+        rows.append([f"1/{tides}", f"{keep:,}", f"{1e3 * thousand:.1f}", f"{1e3 * one:.1f}"])
+    return rows
 
 
 def threads(effort: Effort) -> list[list[str]]:
@@ -413,51 +430,55 @@ def machine() -> str:
     )
 
 
-def report(effort: Effort, found: list[Sweep]) -> str:
-    """Write the tables."""
-    growth = []
-    for sweep in found:
-        for model, cost in sweep.cost.items():
-            growth.append(
-                [
-                    sweep.title,
-                    model,
-                    f"{sweep.sizes[0]:,} to {sweep.sizes[-1]:,}",
-                    f"{cost[0] * sweep.scale:.3g} to {cost[-1] * sweep.scale:.3g}",
-                    sweep.unit.split(" [")[1].rstrip("]"),
-                    f"{sweep.exponent(model):.2f}",
-                ]
-            )
-    return "\n\n".join(
+def growth(found: list[Sweep]) -> list[list[str]]:
+    """Give the first and last cost of each sweep, and its exponent."""
+    return [
         [
-            paragraphs(f"{machine()}; CPU time, one thread, least of {effort.repeats} calls."),
-            table(["growth with", "model", "sizes", "cost", "unit", "exponent"], growth),
-            table(
-                ["model", "members/s, 1 thread", "members/s, 2 threads", "gain [least–greatest]"],
-                threads(effort),
-            ),
-            table(
-                ["what", "µs/member", "times cheaper than the row above", "error"], split(effort)
-            ),
-            table(
-                ["ε", "trajectories/s", "µs/trajectory", "largest error of position"],
-                in_memory(effort),
-            ),
-            table(
-                [
-                    "coast",
-                    "mean-flow [ms/member]",
-                    "full [ms/member]",
-                    "ratio",
-                    "ratio, winds in memory",
-                    "strands (full)",
-                    "same fate",
-                    "stranding times apart, median",
-                ],
-                averaged_beside_full(effort),
-            ),
+            sweep.title,
+            model,
+            f"{sweep.sizes[0]:,} to {sweep.sizes[-1]:,}",
+            f"{cost[0] * sweep.scale:.3g} to {cost[-1] * sweep.scale:.3g}",
+            sweep.unit.split(" [")[1].rstrip("]"),
+            f"{sweep.exponent(model):.2f}",
         ]
-    )
+        for sweep in found
+        for model, cost in sweep.cost.items()
+    ]
+
+
+# Headings and rows of the tables that need no sweep, by name.
+TABLES: dict[str, tuple[list[str], Callable[[Effort], list[list[str]]]]] = {
+    "calls": (["ε", "kept", "1,000 members [ms]", "one member [ms]"], whole_calls),
+    "threads": (
+        ["model", "members/s, 1 thread", "members/s, 2 threads", "gain [least–greatest]"],
+        threads,
+    ),
+    "split": (["what", "µs/member", "times cheaper than the row above", "error"], split),
+    "memory": (["ε", "trajectories/s", "µs/trajectory", "largest error of position"], in_memory),
+    "averaged": (
+        [
+            "coast",
+            "mean-flow [ms/member]",
+            "full [ms/member]",
+            "ratio",
+            "ratio, winds in memory",
+            "strands (full)",
+            "same fate",
+            "stranding times apart, median",
+        ],
+        averaged_beside_full,
+    ),
+}
+
+
+def report(effort: Effort, names: Sequence[str], found: list[Sweep]) -> str:
+    """Write the tables."""
+    head = f"{machine()}; CPU time, one thread, least of {effort.repeats} calls."
+    grown = ["growth with", "model", "sizes", "cost", "unit", "exponent"]
+    tables = [paragraphs(head), *([table(grown, growth(found))] if found else [])]
+    for heading, rows in (TABLES[name] for name in names):
+        tables.append(table(heading, rows(effort)))
+    return "\n\n".join(tables)
 
 
 def main() -> None:
@@ -466,14 +487,17 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="Smaller sizes, one repeat.")
     parser.add_argument("--figure", type=Path, default=Path("docs/figures/scaling.png"))
     parser.add_argument("-o", "--output", type=Path, help="File for the tables; else printed.")
+    parser.add_argument("--only", nargs="+", choices=TABLES, help="These tables, no sweeps.")
     arguments = parser.parse_args()
     effort = QUICK if arguments.quick else DEFAULT
     # Long runs outlast the months of the embedded climate: the cost is the same.
     warnings.simplefilter("ignore", DriftCoreWarning)
     dc.paper.default_wind()  # fitted before the clock starts
-    found = sweeps(effort)
-    draw(found, arguments.figure)
-    text = report(effort, found)
+    found = []
+    if arguments.only is None:
+        found = sweeps(effort)
+        draw(found, arguments.figure)
+    text = report(effort, arguments.only or list(TABLES), found)
     if arguments.output is None:
         print(text)
     else:

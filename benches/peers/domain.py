@@ -4,9 +4,11 @@ OpenDrift, Parcels and a loop in NumPy move particles for `setting` steps of 15 
 the paper's tide, which they get as hourly fields on 101 × 101 points, and by 3 % of a uniform
 hourly wind. At the paper's scale, 3 m/s and 625 h, the map is 42° wide and high at the equator.
 
-driftcore follows members over the paper's whole run of 26 days instead, each under a wind of its
-own, which it draws; its bodies have inertia, and it says which strand where and when. It averages
-the tide (mean-flow, order 1), or resolves it, in the paper's fields or in a grid of harmonics.
+driftcore follows members over the paper's whole run of 26 days instead, each under an hourly wind
+of its own, which is in memory or is drawn; its bodies have inertia. It averages the tide
+(mean-flow, order 1), or resolves it, in the paper's fields or in a grid of harmonics. Where there
+is a coast it says which strand where and when, and follows them no further: its second answer is
+the share of the run that members were adrift.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ HOURS = 12.5 / EPSILON  # the run, 26 days: one unit of time
 UNIT = 3.0 * 3600 * HOURS  # one unit of length [m]
 DEGREE = 6_366_707.0 * math.pi / 180  # 60 nautical miles [m]
 WINDAGE = 0.03
+FULL_STEPS = 5  # a tide: what the first table needs for its error
 STEP = 900.0  # [s]
 POINTS = 101
 RELEASE = datetime(2024, 6, 1)
@@ -236,25 +239,69 @@ def harmonic_sea() -> Any:
     return dc.HarmonicSea(field(tide, 1), field(residual, 0))
 
 
-def driftcore(model: str, gridded: bool, folder: str) -> Peer:
+def driftcore_scenario(gridded: bool) -> Any:
+    """Give the paper's case, or the same with its sea on the grid, whose splines are set-up."""
+    import driftcore as dc
+
+    scenario = dc.paper.scenario(EPSILON)
+    if not gridded:
+        return scenario
+    sea = harmonic_sea()
+    compiled = sea.core(scenario.period, scenario.epsilon, scenario.duration)
+    sea.core = lambda *_: compiled
+    return scenario.model_copy(update={"sea": sea})
+
+
+def share_adrift(forecast: Any) -> float:
+    """Give the mean share of the run that members were followed: to the end, or aground."""
+    ends = forecast.dataset["stranding_time"].values
+    if (forecast.dataset["status"].values > 1).any():
+        raise ValueError("members left the map or failed")
+    return float(np.where(np.isnan(ends), 1.0, ends).mean())
+
+
+def drawn(model: str, gridded: bool, folder: str) -> Peer:
     """`driftcore.forecast` of the paper's case: winds drawn, strandings counted."""
     del folder
     import driftcore as dc
 
-    scenario, climate = dc.paper.scenario(EPSILON), dc.paper.default_wind()
-    if gridded:
-        sea = harmonic_sea()
-        # Its splines are set-up, and fitted once.
-        compiled = sea.core(scenario.period, scenario.epsilon, scenario.duration)
-        sea.core = lambda *_: compiled
-        scenario = scenario.model_copy(update={"sea": sea})
+    scenario, climate = driftcore_scenario(gridded), dc.paper.default_wind()
 
     def peer(members: int, setting: Any) -> Job:
         del setting
 
         def job() -> Any:
-            dc.forecast(scenario, climate, model=model, members=members, threads=1, keep=0)
-            return [], None
+            found = dc.forecast(scenario, climate, model=model, members=members, threads=1, keep=0)
+            return [], share_adrift(found)
+
+        return job
+
+    return peer
+
+
+def in_memory(model: str, gridded: bool, folder: str) -> Peer:
+    """Give the same under hourly winds in memory, and the last places.
+
+    Without a coast in the paper's fields, as the others. A map ends: there the coast is kept.
+    """
+    del folder
+    import driftcore as dc
+
+    scenario = driftcore_scenario(gridded)
+    if not gridded:
+        scenario = scenario.replace(coast=None)
+    steps = FULL_STEPS if model == "full" else None
+    hours = math.ceil(HOURS) + 1
+
+    def peer(members: int, setting: Any) -> Job:
+        del setting
+        velocity = dc.paper.default_wind().sample(members, hours, 1) / scenario.wind_unit
+        winds = dc.WindPaths(np.arange(hours) / HOURS, velocity)
+        options: dict[str, Any] = {"times": [scenario.duration], "keep": members, "threads": 1}
+
+        def job() -> Any:
+            found = dc.forecast(scenario, winds, model=model, steps_per_tide=steps, **options)
+            return found.dataset["position"].values[:, 0].tolist(), share_adrift(found)
 
         return job
 
@@ -262,10 +309,14 @@ def driftcore(model: str, gridded: bool, folder: str) -> Peer:
 
 
 PEERS: dict[str, Callable[[str], Peer]] = {
-    "driftcore": partial(driftcore, "mean-flow", False),
-    "driftcore-gridded": partial(driftcore, "mean-flow", True),
-    "driftcore-full": partial(driftcore, "full", False),
-    "driftcore-full-gridded": partial(driftcore, "full", True),
+    "driftcore": partial(in_memory, "mean-flow", False),
+    "driftcore-full": partial(in_memory, "full", False),
+    "driftcore-gridded": partial(in_memory, "mean-flow", True),
+    "driftcore-full-gridded": partial(in_memory, "full", True),
+    "driftcore-drawn": partial(drawn, "mean-flow", False),
+    "driftcore-full-drawn": partial(drawn, "full", False),
+    "driftcore-gridded-drawn": partial(drawn, "mean-flow", True),
+    "driftcore-full-gridded-drawn": partial(drawn, "full", True),
     "numpy": numpy_loop,
     "parcels": parcels,
     "opendrift": opendrift,

@@ -18,7 +18,7 @@ import shutil
 import subprocess
 import sys
 import venv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -58,8 +58,8 @@ class Effort:
     particles: tuple[int, ...]
 
 
-FULL = Effort(4096, 8, 7, 1.0, 100, (1000, 10_000))
-QUICK = Effort(256, 2, 3, 0.2, 20, (1000,))
+FULL = Effort(8192, 8, 7, 1.0, 100, (1000, 10_000))
+QUICK = Effort(4096, 2, 3, 0.2, 20, (1000,))
 BATCH = 64  # least number of members of a call: what vectors, lanes and lockstep need
 BATCHED = ("jax", "diffrax")  # their cost depends on it
 
@@ -201,6 +201,7 @@ def full_system(contest: Contest, effort: Effort, reference: list[list[float]]) 
     contenders = (
         ("driftcore-fixed", "driftcore, fixed steps", steps),
         ("driftcore", "driftcore, adaptive", tolerances),
+        ("driftcore-drawn", "driftcore, fixed steps, winds drawn too", steps),
         ("rust-lanes", "Rust, 8 lanes, RK4, 4-D form", knots),
         ("jax", "JAX scan, RK4, 4-D form", knots),
         ("odeint", "Boost odeint runge_kutta4, 4-D form", knots),
@@ -265,19 +266,32 @@ def tuned(
 def drift_models(contest: Contest, effort: Effort) -> list[Entry]:
     """Give the rows of the second table."""
     entries = []
-    drawn = "26 days, winds drawn, strandings counted"
-    for peer, label in (
-        ("driftcore", "driftcore, mean-flow, paper's fields"),
-        ("driftcore-gridded", "driftcore, mean-flow, gridded harmonics"),
-        ("driftcore-full", "driftcore, tide resolved, paper's fields"),
-        ("driftcore-full-gridded", "driftcore, tide resolved, gridded harmonics"),
+    for peer, label, wind in (
+        ("driftcore", "driftcore, mean-flow, paper's fields", "in memory, no coast"),
+        ("driftcore-full", "driftcore, full, paper's fields", "in memory, no coast"),
+        ("driftcore-gridded", "driftcore, mean-flow, gridded harmonics", "in memory, coast"),
+        (
+            "driftcore-full-gridded",
+            "driftcore, full, gridded harmonics",
+            "in memory, coast",
+        ),
+        ("driftcore-drawn", "driftcore, mean-flow, paper's fields", "drawn, coast"),
+        ("driftcore-full-drawn", "driftcore, full, paper's fields", "drawn, coast"),
+        ("driftcore-gridded-drawn", "driftcore, mean-flow, gridded harmonics", "drawn, coast"),
+        (
+            "driftcore-full-gridded-drawn",
+            "driftcore, full, gridded harmonics",
+            "drawn, coast",
+        ),
     ):
-        say(f"sizing {label}")
+        say(f"sizing {label}, winds {wind}")
         contest.ask("domain", peer, 10, None)  # what is loaded at first use
-        cost = contest.ask("domain", peer, 200, None)["cpu"] / 200
-        members = min(100_000, max(1000, int(5 * effort.seconds / cost)))
-        answer = contest.ask("domain", peer, members, None)
-        entries.append(Entry(peer, label, members, None, drawn, answer))
+        for particles in effort.particles:
+            answer = contest.ask("domain", peer, particles, None)
+            answer.pop("positions")
+            repeats = max(1, round(effort.seconds / answer["cpu"]))
+            note = f"26 days, winds {wind}"
+            entries.append(Entry(peer, label, particles, None, note, answer, repeats))
     places = {}
     for peer, label in (
         ("numpy", "NumPy loop"),
@@ -331,12 +345,24 @@ def ratio(entry: Entry, base: Entry, scale: float = 1.0) -> list[float]:
     return [median(entry.micros()) / median(base.micros()) / scale, min(each), max(each)]
 
 
+def ratios(entry: Entry, bases: dict[str, Entry], days: Callable[[Entry], float]) -> dict[str, Any]:
+    """Give how many times as much as each base it takes, of members and days."""
+    return {name: ratio(entry, base, days(entry) / days(base)) for name, base in bases.items()}
+
+
 def solver_rows(entries: list[Entry]) -> list[dict[str, Any]]:
     """Give what was measured of the solvers, against driftcore's cheapest at the target."""
-    matched = [e for e in entries if e.peer.startswith("driftcore") and e.answer["error"] <= TARGET]
-    if not matched:
-        sys.exit("no setting of driftcore reached the target")
-    base = min(matched, key=lambda e: median(e.micros()))
+
+    def cheapest(*peers: str) -> Entry:
+        matched = [e for e in entries if e.peer in peers and e.answer["error"] <= TARGET]
+        if not matched:
+            sys.exit("no setting of driftcore reached the target")
+        return min(matched, key=lambda e: median(e.micros()))
+
+    bases = {
+        "winds in memory": cheapest("driftcore-fixed", "driftcore"),
+        "winds drawn": cheapest("driftcore-drawn"),
+    }
     return [
         {
             "contender": entry.label,
@@ -348,20 +374,28 @@ def solver_rows(entries: list[Entry]) -> list[dict[str, Any]]:
             "evaluations": entry.answer["evaluations"],
             "error": entry.answer["error"],
             "matched": entry.answer["error"] <= TARGET,
-            "ratio": ratio(entry, base),
-            "baseline": entry is base,
+            "ratios": ratios(entry, bases, lambda _: 1.0),
         }
         for entry in entries
     ]
 
 
 def drift_rows(entries: list[Entry]) -> list[dict[str, Any]]:
-    """Give what was measured of the drift models, per particle and day."""
+    """Give what was measured of the drift models, per particle and day adrift."""
 
     def days(entry: Entry) -> float:
-        return RUN_DAYS if entry.setting is None else entry.setting / STEPS_A_DAY
+        if entry.setting is None:
+            return RUN_DAYS * float(entry.answer["evaluations"])
+        return entry.setting / STEPS_A_DAY
 
-    base = entries[0]
+    bases = {
+        name: next(e for e in entries if e.peer == peer)
+        for name, peer in (
+            ("winds in memory", "driftcore"),
+            ("winds drawn", "driftcore-drawn"),
+            ("gridded tide, winds in memory", "driftcore-gridded"),
+        )
+    }
     rows = []
     for entry in entries:
         each = [t / days(entry) for t in entry.micros()]
@@ -371,14 +405,14 @@ def drift_rows(entries: list[Entry]) -> list[dict[str, Any]]:
                 "contender": entry.label,
                 "setting": entry.note,
                 "particles": entry.members,
+                "days": days(entry),
                 "microseconds_per_day": median(each),
                 "microseconds_per_day_spread": [min(each), max(each)],
                 "particle_steps_per_second": steps,
-                "ratio": ratio(entry, base, days(entry) / days(base)),
+                "ratios": ratios(entry, bases, days),
                 "apart_degrees": entry.answer.get("apart_degrees"),
                 "start_seconds": entry.answer["start"],
                 "peak_megabytes": entry.answer["peak_megabytes"],
-                "baseline": entry is base,
             }
         )
     return rows
@@ -397,8 +431,14 @@ def markdown(results: dict[str, Any]) -> str:
     def spread(middle: float, ends: list[float]) -> str:
         return f"{number(middle)} [{number(ends[0])}–{number(ends[1])}]"
 
-    def times(row: dict[str, Any]) -> str:
-        return "1" if row["baseline"] else spread(row["ratio"][0], row["ratio"][1:])
+    def times(row: dict[str, Any]) -> list[str]:
+        ratios = [[1.0] if min(r) == max(r) else r for r in row["ratios"].values()]
+        return ["1" if len(r) == 1 else spread(r[0], r[1:]) for r in ratios]
+
+    def heading(rows: list[dict[str, Any]], before: str, after: str) -> list[str]:
+        columns = [before, *(f"times driftcore, {name}" for name in rows[0]["ratios"]), after]
+        line = f"| {' | '.join(columns)} |"
+        return [line, "| --- " * (line.count("|") - 1) + "|"]
 
     machine = results["machine"]
     lines = [
@@ -410,16 +450,18 @@ def markdown(results: dict[str, Any]) -> str:
         "",
         f"Error: greatest of |ΔX| over the trajectories at t = 1; matched at {TARGET:g}.",
         "",
-        "| contender | setting | µs/trajectory | times driftcore | rhs evaluations | error |"
-        " trajectories |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        *heading(
+            results["full_system"],
+            "contender | setting | µs/trajectory",
+            "rhs evaluations | error | trajectories",
+        ),
     ]
     for row in results["full_system"]:
         cells = (
             row["contender"],
             row["setting"],
             spread(row["microseconds"], row["microseconds_spread"]),
-            times(row) if row["matched"] else f"({times(row)})",
+            *(text if row["matched"] else f"({text})" for text in times(row)),
             number(row["evaluations"]),
             f"{row['error']:.1e}",
             f"{row['trajectories']:,}",
@@ -432,9 +474,11 @@ def markdown(results: dict[str, Any]) -> str:
         "",
         "## Drift models, the nearest same work",
         "",
-        "| contender | run | particles | µs per particle and day | times driftcore |"
-        " particle-steps/s | from the NumPy loop | start | peak |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        *heading(
+            results["drift_models"],
+            "contender | run | particles | days adrift | µs per particle and day",
+            "particle-steps/s | from the NumPy loop | start | peak",
+        ),
     ]
     for row in results["drift_models"]:
         apart = row["apart_degrees"]
@@ -442,8 +486,9 @@ def markdown(results: dict[str, Any]) -> str:
             row["contender"],
             row["setting"],
             f"{row['particles']:,}",
+            number(row["days"]),
             spread(row["microseconds_per_day"], row["microseconds_per_day_spread"]),
-            times(row),
+            *times(row),
             number(row["particle_steps_per_second"]),
             "–" if apart is None else f"{apart:.1e}°",
             f"{row['start_seconds']:.1f} s",

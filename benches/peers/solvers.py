@@ -13,12 +13,11 @@ and how often the right-hand side was evaluated for one trajectory.
 from __future__ import annotations
 
 import ctypes
-import inspect
 import json
 import math
 import sys
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -324,28 +323,31 @@ def driftcore_full(option: str, folder: str) -> Peer:
     """`driftcore.forecast`, full model, `setting` being its `rtol` or its `steps_per_tide`."""
     import driftcore as dc
 
-    if option not in inspect.signature(dc.forecast).parameters:
-        raise NotImplementedError(f"this driftcore's forecast has no {option}")
-    lanes = getattr(dc, "WindPaths", None)
-    winds = lru_cache(maxsize=2)(
-        lambda members: (lanes or wind_paths)(TIMES, np.array(load_winds(folder, members)))
-    )
-
-    def evaluations(setting: Any) -> float | None:
-        """Give those of a member, which a forecast does not count."""
-        if option == "steps_per_tide":
-            return 6 * setting / EPSILON  # of Dormand-Prince
-        if lanes:
-            return None  # steps common to all members, and more for some
-        path, solver = next(iter(winds(1))), {"model": "full", option: setting}
-        one = dc.trajectory(driftcore_scenario(), path, times=[1.0], **solver)
-        return int(one.attrs["evaluations"])
-
     def peer(members: int, setting: Any) -> Job:
-        count, wind = evaluations(setting), winds(members)
+        winds = dc.WindPaths(TIMES, load_winds(folder, members))
+        count = None  # steps common to all members, and more for some
+        if option == "steps_per_tide":
+            count = 6 * setting / EPSILON  # of Dormand-Prince
 
         def job() -> Any:
-            return driftcore_positions(wind, members, {option: setting}).tolist(), count
+            return driftcore_positions(winds, members, {option: setting}).tolist(), count
+
+        return job
+
+    return peer
+
+
+def driftcore_drawn(folder: str) -> Peer:
+    """Give `driftcore.forecast` by the same steps of one length, drawing the same winds itself."""
+    del folder
+    import driftcore as dc
+
+    climate = dc.paper.default_wind()
+
+    def peer(members: int, setting: Any) -> Job:
+        def job() -> Any:
+            found = driftcore_positions(climate, members, {"steps_per_tide": setting})
+            return found.tolist(), 6 * setting / EPSILON
 
         return job
 
@@ -359,14 +361,15 @@ def driftcore_scenario() -> Any:
     return dc.paper.scenario(EPSILON, coast=None)
 
 
-def driftcore_positions(winds: Any, members: int, options: dict[str, Any]) -> Any:
+def driftcore_positions(wind: Any, members: int, options: dict[str, Any]) -> Any:
     """Give the positions (members, 2) at t = 1 by driftcore's full model."""
     import driftcore as dc
 
     forecast = dc.forecast(
         driftcore_scenario(),
-        winds,
+        wind,
         model="full",
+        members=members,
         times=[1.0],
         keep=members,
         threads=1,
@@ -375,16 +378,10 @@ def driftcore_positions(winds: Any, members: int, options: dict[str, Any]) -> An
     return forecast.dataset["position"].values.reshape(members, 2)
 
 
-def wind_paths(times: Any, velocity: Any) -> Any:
-    """Give winds (members, knots, 2) as a list of driftcore's paths."""
-    import driftcore as dc
-
-    return [dc.WindPath(times, wind) for wind in velocity]
-
-
 PEERS: dict[str, Callable[[str], Peer]] = {
     "driftcore-fixed": partial(driftcore_full, "steps_per_tide"),
     "driftcore": partial(driftcore_full, "rtol"),
+    "driftcore-drawn": driftcore_drawn,
     "rust-lanes": rust_lanes,
     "jax": jax_rk4,
     "odeint": odeint,

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import json
 import re
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Self, Union, get_args, get_origin
 
 import numpy as np
-import tomlkit
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
-from tomlkit.items import Float, Item, Table, Trivia
 
 from driftcore.errors import ScenarioError
 
@@ -22,8 +20,8 @@ from driftcore.errors import ScenarioError
 NOTHING = "none"
 # Between the sentences of one error: no value holds it, for values are shown by their repr.
 _SEPARATOR = ";\n"
-# Numbers in a list that tomlkit lays out in milliseconds.
-_LONG = 100
+_JSON = json.JSONEncoder(ensure_ascii=False)
+_BARE_KEY = re.compile("[A-Za-z0-9_-]+")
 # The validator's words for what TOML calls otherwise.
 _WORDS = (
     ("Input ", "it "),
@@ -85,9 +83,7 @@ class Configuration(BaseModel):
 
     def to_toml(self) -> str:
         """Write as TOML, each field with its description as a comment."""
-        document = tomlkit.document()
-        _fill(document, self)
-        return tomlkit.dumps(document).lstrip()
+        return "\n".join(_lines(self)).lstrip() + "\n"
 
 
 def read_toml(source: str | Path) -> dict[str, Any]:
@@ -118,64 +114,57 @@ def read_toml(source: str | Path) -> dict[str, Any]:
         raise ScenarioError(f"{name}: not valid TOML: {error}") from None
 
 
-def _fill(table: tomlkit.TOMLDocument | Table, configuration: Configuration) -> None:
-    """Plain values first, then the sub-tables, as TOML needs."""
+def _lines(configuration: Configuration, path: str = "") -> Iterator[str]:
+    """Lines of TOML: plain values first, then the sub-tables, as TOML needs."""
     nested: list[tuple[str, Any, str | None]] = []
     for name, field in type(configuration).model_fields.items():
         value = configuration.in_toml(name)
         comment = field.description
         if _is_table(value):
             nested.append((name, value, comment))
-            continue
-        if value == field.default and value in (None, {}, ()):
+        elif value == field.default and value in (None, {}, ()):
             tables = _tables(field.annotation)
             if nested or tables:  # what is absent here is a table too
                 nested.append((name, tables, comment))
-                continue
-            table.add(tomlkit.comment(f"{name} =   # {comment}"))
-            continue
-        try:
-            item = _item(NOTHING if value is None else value)
-        except ValueError:
-            # Arrays given in Python: named, so that reading this back fails instead of differing.
-            item = tomlkit.item(repr(value))
-        if comment:
-            item.comment(comment)
-        table.add(name, item)
+            else:
+                yield f"# {name} =   # {comment}"
+        else:
+            yield f"{name} = {_written(NOTHING if value is None else value)}{_commented(comment)}"
     for name, value, comment in nested:
-        table.add(tomlkit.nl())
+        yield ""
         if isinstance(value, list):
             several = type(configuration).model_fields[name].default == ()
             header = f"[[{name}]]" if several else f"[{name}]"
-            table.add(tomlkit.comment(f"{header}   # {comment}"))
-            for line in _explained(value):
-                table.add(tomlkit.comment(line))
-            continue
-        _add(table, name, value, comment)
+            yield f"# {header}   # {comment}"
+            yield from (f"# {line}" for line in _explained(value))
+        else:
+            yield from _table(f"{path}{name}", value, comment)
 
 
-def _add(table: tomlkit.TOMLDocument | Table, name: str, value: Any, comment: str | None) -> None:
+def _table(path: str, value: Any, comment: str | None) -> Iterator[str]:
+    """Lines of a table, or of several of a name."""
     if isinstance(value, tuple):
-        several = tomlkit.aot()
-        for part in value:
-            inner = tomlkit.table()
-            _fill(inner, part)
-            several.append(inner)
-        table.add(name, several)
+        for k, part in enumerate(value):
+            yield from [""] * (k > 0)
+            yield f"[[{path}]]"
+            yield from _lines(part, f"{path}.")
         return
-    inner = tomlkit.table()
-    if comment:
-        inner.comment(comment)
+    if isinstance(value, Configuration) or not all(map(_is_table, value.values())):
+        yield f"[{path}]{_commented(comment)}"
     if isinstance(value, Configuration):
-        _fill(inner, value)
-    else:
-        for key, part in value.items():
-            if _is_table(part):
-                inner.add(tomlkit.nl())
-                _add(inner, key, part, None)
-            else:
-                inner.add(key, _item(part))
-    table.add(name, inner)
+        yield from _lines(value, f"{path}.")
+        return
+    for key, part in value.items():
+        key = key if _BARE_KEY.fullmatch(key) else _written(key)
+        if _is_table(part):
+            yield ""
+            yield from _table(f"{path}.{key}", part, None)
+        else:
+            yield f"{key} = {_written(part)}"
+
+
+def _commented(comment: str | None) -> str:
+    return f" # {comment}" if comment else ""
 
 
 def _is_table(value: Any) -> bool:
@@ -199,23 +188,21 @@ def _explained(tables: list[type[Configuration]]) -> Iterator[str]:
     for table in tables[:1]:
         for name, field in table.model_fields.items():
             unset = field.is_required() or field.default in (None, {})
-            value = "" if unset else f" {_item(field.default).as_string()}"
+            value = "" if unset else f" {_written(field.default)}"
             comment = f"   # {field.description}" if field.description else ""
             yield f"{name} ={value}{comment}"
 
 
-def _item(value: Any) -> Item:
-    """Lay out a value; long lists of numbers as JSON does, which is TOML too.
-
-    tomlkit takes a time that grows with the square of their length, and a coast may have a million
-    points. The number is a husk: what is written is the text.
-    """
-    plain = _plain(value)
-    if isinstance(value, tuple) and np.asarray(value, dtype=object).size > _LONG:
-        with contextlib.suppress(TypeError):
-            return Float(0.0, Trivia(), json.dumps(plain, ensure_ascii=False))
-    item: Item = tomlkit.item(plain)
-    return item
+def _written(value: Any) -> str:
+    """Write a value: as JSON does, which is TOML too but for one character."""
+    if isinstance(value, datetime):
+        return value.isoformat().replace("+00:00", "Z")
+    try:
+        text = _JSON.encode(value)
+    except TypeError:
+        # Arrays given in Python: named, so that reading this back fails instead of differing.
+        text = _JSON.encode(repr(value))
+    return text.replace("\x7f", "\\u007f")
 
 
 def _plain(value: Any) -> Any:

@@ -276,7 +276,7 @@ class LocalGridBootstrap:
             self.h,
         )
 
-    @property
+    @cached_property
     def standard_deviation(self) -> float:
         """Root of the mean variance of the record's components, daily cycle included [m/s]."""
         return float(np.sqrt(self.record.velocity.var(axis=0).mean()))

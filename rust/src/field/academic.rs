@@ -53,6 +53,18 @@ impl SeparableCurrent {
         })
     }
 
+    /// `Σ_j −s_j cos(jωt)/(jω) · x_k strength(t)`.
+    fn excursion(&self, t: f64, omega: f64, x: Vec2) -> Vec2 {
+        let size = self.strength(t).0 * x[self.axis];
+        (1..)
+            .zip(&self.sines)
+            .map(|(j, s)| {
+                let omega = f64::from(j) * omega;
+                s * -size * (1.0 / omega) * (omega * t).cos()
+            })
+            .sum()
+    }
+
     /// Largest (Σ|Z_j|, Σ‖∇Z_j‖, Σ|∂ₜZ_j|) in a ball.
     fn bounds(&self, center: Vec2, radius: f64) -> (f64, f64, f64) {
         let waves: f64 = self.sines.iter().map(|s| s.norm()).sum();
@@ -137,6 +149,10 @@ impl SeaField for AcademicSea {
         Ok(())
     }
 
+    fn excursion(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+        Ok(self.tide.excursion(t, self.omega(), x))
+    }
+
     fn is_linear(&self) -> bool {
         true
     }
@@ -167,6 +183,10 @@ mod tests {
                 }
             }
             assert!((sum - sea.velocity(t, x)?).norm() < 1e-13);
+            let tide = harmonics.tide.iter();
+            let excursion: Vec2 =
+                tide.map(|h| super::super::in_phase(h.excursion(), h.phasor(t))).sum();
+            assert!((excursion - sea.excursion(t, x)?).norm() < 1e-16);
         }
         Ok(())
     }

@@ -94,6 +94,14 @@ pub trait SeaField: Send + Sync {
         self.harmonics(t, x, out)
     }
 
+    /// The tide's excursion `∫~ M dt`, `a₁` of equations.md (9): asked for at every output and
+    /// every look at a coast.
+    fn excursion(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
+        let mut at = Harmonics::default();
+        self.gradients(t, x, &mut at)?;
+        Ok(at.tide.iter().map(|h| in_phase(h.excursion(), h.phasor(t))).sum())
+    }
+
     /// Bounds that hold in the ball around `center` at every time of the run.
     fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds;
 

@@ -369,8 +369,10 @@ impl<F: StageField> StepKernel<'_, F> {
         for (step, n) in steps.clone().enumerate() {
             let times = stage_times(n as f64 * h, h);
             let p = state.p;
-            let blown = (*bounded && n + 1 == steps.end)
-                .then(|| (walk.integral(times[0]), walk.double_integral(times[0], drag, p)));
+            let mut blown = None;
+            if *bounded && n + 1 == steps.end {
+                blown = Some((walk.integral(times[0]), walk.double_integral(times[0], drag, p)));
+            }
             // The position of each stage but for its slopes.
             let mut forced = [p; 5];
             for (forced, t) in forced.iter_mut().zip(&times[1..]) {
@@ -407,22 +409,26 @@ impl<F: StageField> StepKernel<'_, F> {
                     state.excess_error = state.excess_error.max(error - allowed);
                 }
             }
-            reach = blown.map(|(single, center)| {
+            // No closures here: they would be compiled without the instructions of the lanes.
+            if let Some((single, center)) = blown {
                 let (mut distance, mut speed) = (Lanes::ZERO, Lanes::ZERO);
                 for power in 0..4 {
-                    let weights = D.map(|weights| weights[power]);
-                    let [x, y] = [0, 1].map(|c| weighted(&weights, k, h, c, Lanes::ZERO).abs());
-                    let size = x + y;
+                    let mut weights = [0.0; 7];
+                    for (weight, of_stage) in weights.iter_mut().zip(&D) {
+                        *weight = of_stage[power];
+                    }
+                    let size = weighted(&weights, k, h, 0, Lanes::ZERO).abs()
+                        + weighted(&weights, k, h, 1, Lanes::ZERO).abs();
                     distance += size;
                     speed += size * ((power + 1) as f64 / h);
                 }
                 let blown = single[0].abs() + single[1].abs() + wind.max_speed(times[5]) * h;
-                LaneReach {
+                reach = Some(LaneReach {
                     center,
                     radius: distance + blown * (h * drag),
                     speed: speed + blown * drag,
-                }
-            });
+                });
+            }
             state.p = end;
         }
         Stepped { wind: walk.end(), reach }

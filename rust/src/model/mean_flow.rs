@@ -229,6 +229,9 @@ impl Piece for MeanFlowPiece<'_> {
 
     fn position(&self, t: f64) -> Result<Vec2, DriftError> {
         let (y, single) = self.slow(t);
+        if self.flow.order == 1 {
+            return Ok(y + self.flow.problem.sea.excursion(t, y)?);
+        }
         let (expansion, _) = self.flow.expansion(t, y, single)?;
         Ok(y + expansion.displacement(t))
     }
