@@ -429,12 +429,14 @@ def on_a_map() -> xr.Dataset:
         (on_a_map, "grid: 'water_u' is on a mercator map; turn the components toward east and nor"),
         (
             lambda: hycom().drop_vars("lon").rename(lon="i"),
-            r"longitude: 'water_u' has dimensions \('time', 'lat', 'i'\); missing is a 1-D, regular",
+            r"longitude: 'water_u' has dimensions \('time', 'lat', 'i'\); missing is a 1-D, reg",
         ),
         (
-            lambda: hycom()
-            .expand_dims(s=[-0.9, -0.1])
-            .assign_coords(s=("s", [-0.9, -0.1], {"standard_name": "ocean_s_coordinate_g2"})),
+            lambda: (
+                hycom()
+                .expand_dims(s=[-0.9, -0.1])
+                .assign_coords(s=("s", [-0.9, -0.1], {"standard_name": "ocean_s_coordinate_g2"}))
+            ),
             "levels: 's' follows the terrain",
         ),
         (
