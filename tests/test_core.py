@@ -36,3 +36,8 @@ def test_a_slow_start_that_does_not_converge_is_an_error() -> None:
     calm = dc.WindPath(np.array([-1.0, 2.0]), np.zeros((2, 2)))
     with pytest.raises(dc.DriftCoreError, match="did not converge"):
         dc.trajectory(scenario, calm, model="mean-flow", order=1, times=np.array([0.0, 1.0]))
+
+
+def test_what_a_shell_completes_is_there() -> None:
+    assert dir(dc) == sorted(dc.__all__)
+    assert all(hasattr(dc, name) for name in dc.__all__)

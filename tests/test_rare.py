@@ -117,6 +117,27 @@ def test_rare_is_reached_at_a_small_cost() -> None:
     assert str(found) == f"{found.estimate:.3g} [{found.low:.3g}, {found.high:.3g}]"
 
 
+def test_without_spread_no_plain_ensemble_compares() -> None:
+    zeros = np.zeros(5)
+    found = dc.RareProbability(0.0, 0.0, 1.0, zeros, np.zeros(0), np.zeros(1), 100)
+    assert math.isnan(found.plain_members)
+
+
+def test_an_importance_that_tells_nothing_leaves_a_plain_ensemble() -> None:
+    found = dc.rare_probability(
+        OFTEN,
+        particles=60,
+        replicates=10,
+        importance=lambda times, positions: np.zeros((len(positions), len(times))),
+    )
+    plain = dc.forecast(OFTEN, dc.paper.default_wind(), members=2000, seed=8, keep=0)
+    share = plain.stranding_probability().estimate
+    assert (found.levels.tolist(), found.conditional[0]) == ([0.0], 1.0)
+    # 600 members of a run and 2000 of another: four standard errors.
+    error = math.sqrt(share * (1 - share) * (1 / 600 + 1 / 2000))
+    assert abs(found.estimate - share) < 4 * error
+
+
 def test_intervals_are_those_of_student() -> None:
     """Of replicates 1, 2, 3, 4, 5: mean 3, standard error sqrt(1/2), t of 4 degrees 2.776."""
     estimates = np.arange(1.0, 6.0)

@@ -262,6 +262,22 @@ def test_forecasts_from_the_present_know_the_past_only() -> None:
     np.testing.assert_array_equal(wind, hindcast.from_present(climate(), other, row, 3, steps, 1))
 
 
+def test_forecasts_of_the_climate_know_the_time_of_the_day_only() -> None:
+    """Members of the climate begin with any wind that it has at midnight."""
+    summer, row = record(), 40
+    assert str(summer.times[row])[11:16] == "00:00"
+    wind = hindcast.from_climate(climate(), summer, row, 4000, 5, 1)
+    assert wind.shape == (4000, 5, 2)
+    np.testing.assert_array_equal(wind, hindcast.from_climate(climate(), summer, 80, 4000, 5, 1))
+    known = climate().record
+    hours = (known.times - known.times.astype("datetime64[D]")).astype("timedelta64[h]")
+    for step in range(5):
+        now = known.velocity[hours.astype(int) == 6 * step % 24]
+        # Four standard errors of 4000 independent members, and as much again of the record's.
+        error = 8 * now.std(axis=0) / np.sqrt(4000)
+        assert (np.abs(wind[:, step].mean(axis=0) - now.mean(axis=0)) < error).all()
+
+
 # Figures
 
 

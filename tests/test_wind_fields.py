@@ -324,6 +324,14 @@ def test_from_files(tmp_path: Path) -> None:
     )
 
 
+def test_a_record_read_before_serves_as_well(fitted: FieldBootstrap) -> None:
+    again = FieldBootstrap.fit(GriddedWindRecord.from_grid(weather(8), (6, 7, 8)), h=0.4)
+    np.testing.assert_array_equal(
+        again.sample(2, 9, 1).components, fitted.sample(2, 9, 1).components
+    )
+    assert repr(fitted) == f"FieldBootstrap({fitted.bootstrap!r}, share={fitted.share:.3f})"
+
+
 def test_gaps_between_summers_need_months() -> None:
     with pytest.raises(RecordError, match="time: gap of"):
         FieldBootstrap.fit(weather(2), None)
