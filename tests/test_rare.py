@@ -117,10 +117,18 @@ def test_rare_is_reached_at_a_small_cost() -> None:
     assert str(found) == f"{found.estimate:.3g} [{found.low:.3g}, {found.high:.3g}]"
 
 
-def test_without_spread_no_plain_ensemble_compares() -> None:
-    zeros = np.zeros(5)
-    found = dc.RareProbability(0.0, 0.0, 1.0, zeros, np.zeros(0), np.zeros(1), 100)
-    assert math.isnan(found.plain_members)
+def test_plain_members_have_the_same_standard_error() -> None:
+    def of(*replicates: float) -> dc.RareProbability:
+        values = np.array(replicates)
+        mean = float(values.mean())
+        return dc.RareProbability(mean, 0.0, 1.0, values, np.zeros(0), np.zeros(1), 100)
+
+    found = of(0.1, 0.2, 0.3)
+    assert found.standard_error == pytest.approx(0.1 / math.sqrt(3))
+    assert found.plain_members == pytest.approx(0.2 * 0.8 / (0.01 / 3))
+    assert found.level == 0.95
+    # Without spread none compares.
+    assert math.isnan(of(0.0, 0.0).plain_members)
 
 
 def test_an_importance_that_tells_nothing_leaves_a_plain_ensemble() -> None:

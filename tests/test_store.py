@@ -376,7 +376,13 @@ def test_refused_names(plane: Case, tmp_path: Path) -> None:
 def test_the_command_goes_on_where_it_was_interrupted(plane: Case, tmp_path: Path) -> None:
     scenario, whole = plane
     store = tmp_path / "out.zarr"
-    process = subprocess.Popen(command(scenario, store, "-q"), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command(scenario, store, "-q"),
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that runs the tests in the background makes them deaf to the signal.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     while not (tmp_path / "out.zarr.part" / "manifest.json").exists():
         assert process.poll() is None
         time.sleep(0.001)
