@@ -425,3 +425,14 @@ def test_no_errors_have_no_summary() -> None:
     assert validation._summary(np.zeros(0)) == {}
     found = validation._summary(np.arange(101.0))
     assert found == {"mean": 50, "min": 0, "max": 100, "q5": 5, "q50": 50, "q95": 95}
+
+
+def test_the_full_effort_strands_by_the_system_of_the_paper_too() -> None:
+    effort = replace(SMALL, members=6, paper_strandings=True)
+    found = validation._strandings(effort)
+    labels = ["full", validation.MEAN_FLOW_1, validation.MEAN_FLOW_2]
+    assert [case.label for case in found] == [*labels, validation.PAPER, validation.PAPER_WITHOUT]
+    # All follow the same winds: whoever strands does so at about the same time and place.
+    for case in found:
+        assert case.different <= 1
+        assert (case.distance < 0.02).all()
