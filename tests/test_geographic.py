@@ -292,6 +292,13 @@ def test_a_trajectory_that_leaves_the_data_is_an_error() -> None:
         dc.trajectory(scenario, steady((20, 0)), model="full", times=hourly(5))
 
 
+def test_a_trajectory_that_cannot_be_so_exact_is_an_error() -> None:
+    with pytest.raises(dc.DriftCoreError, match=r"integration failed at t = .*: "):
+        dc.trajectory(
+            biscay(5), steady((20, 0)), model="full", times=hourly(5), rtol=1e-300, atol=1e-300
+        )
+
+
 # Times
 
 
