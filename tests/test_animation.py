@@ -149,6 +149,7 @@ def test_the_ffmpeg_of_the_system_goes_before_it(monkeypatch: pytest.MonkeyPatch
         ({"frames": 0}, "frames: 0 is not accepted"),
         ({"kind": "film"}, "kind: 'film' is not accepted"),
         ({"coast": "a coast"}, "coast: is not accepted in the paper's plane, whose forecast"),
+        ({"coast": "a coast", "kind": "members"}, "coast: is not accepted in the paper's plane"),
     ],
 )
 def test_what_is_refused(plane: dc.Forecast, given: dict[str, Any], message: str) -> None:
