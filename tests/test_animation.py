@@ -137,12 +137,19 @@ def test_the_ffmpeg_of_a_package_serves(monkeypatch: pytest.MonkeyPatch) -> None
     assert subprocess.run([binary, "-version"], capture_output=True, check=True).stdout  # noqa: S603
 
 
+def test_the_ffmpeg_of_the_system_goes_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.which", lambda name: f"/somewhere/{name}")
+    assert animation._writer(".mp4", 10).bin_path() == "/somewhere/ffmpeg"
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"fps": 0}, "fps: 0 is not accepted"),
         ({"frames": 0}, "frames: 0 is not accepted"),
         ({"kind": "film"}, "kind: 'film' is not accepted"),
+        ({"coast": "a coast"}, "coast: is not accepted in the paper's plane, whose forecast"),
+        ({"coast": "a coast", "kind": "members"}, "coast: is not accepted in the paper's plane"),
     ],
 )
 def test_what_is_refused(plane: dc.Forecast, given: dict[str, Any], message: str) -> None:

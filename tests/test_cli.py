@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -131,6 +132,35 @@ def test_as_many_members_as_precision_takes(driftcore: Command) -> None:
     again = dc.run(dc.RunConfiguration.from_toml(forecast.configuration()))
     assert again.dataset.equals(forecast.dataset)
     assert result["high"] - result["low"] <= 0.056
+
+
+def test_what_is_entered_is_in_the_summary(driftcore: Command) -> None:
+    square = "[targets]\nhere = [[0.9, 0.9], [1.1, 0.9], [1.1, 1.1], [0.9, 1.1]]\n"
+    result = driftcore("run", write(SMALL + square), "-o", "out.nc")
+    # From where it is released; of three, 0.439 is Wilson's lower bound.
+    assert re.search(r"enters +1\.000  \(0\.439 to 1\.000\)  here", result.out)
+
+
+def test_words_of_the_summary() -> None:
+    assert [cli._duration(s) for s in (0.04, 119.94, 121, 7199, 7201)] == [
+        "0.0 s", "119.9 s", "2.0 min", "120.0 min", "2.0 h",
+    ]  # fmt: skip
+    assert cli._named({"stretch": "west", "middle": None}) == "west"
+    named = cli._named({"stretch": "west", "middle": (-4.25, 47.5)})
+    assert named == "west, about 47.5000 N 4.2500 W"
+    rate: Any = cli._Rate()
+    for speed, total, told in ((None, 10, ""), (12.4, None, ""), (12.4, 10, "12/s")):
+        assert rate.render(SimpleNamespace(speed=speed, total=total)).plain == told
+
+
+def test_warnings_of_others_are_left_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with cli._spoken_warnings():
+            warnings.warn("of ours", dc.DriftCoreWarning, stacklevel=1)
+            warnings.warn("of others", UserWarning, stacklevel=1)
+    assert [str(warning.message) for warning in caught] == ["of others"]
+    assert capsys.readouterr().err == "warning: of ours\n"
 
 
 def test_quiet_prints_nothing(driftcore: Command) -> None:

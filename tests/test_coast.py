@@ -200,6 +200,24 @@ def test_land_over_the_dateline_is_one_however_written(way: str) -> None:
     assert len(coast.polygons) == 2  # split at ±180 again
 
 
+def test_land_around_a_pole_is_closed_along_it() -> None:
+    """As plane maps have Antarctica, and as an ice cap ends at a parallel."""
+    shore = [(longitude, -70 + 5 * (longitude % 100 == 0)) for longitude in range(-180, 181, 20)]
+    coast = LandCoast.from_geometries(shapely.Polygon([(-180, -90), *shore, (180, -90)]))
+    points = [[0, -89.9], [179, -71], [-179, -71], [0, -66], [10, -64], [40, -69]]
+    np.testing.assert_array_equal(coast.is_land(points), [True] * 4 + [False] * 2)
+
+
+def test_collections_in_collections_are_taken_apart() -> None:
+    nested = shapely.GeometryCollection([shapely.GeometryCollection([ISLAND]), MAINLAND])
+    coast = LandCoast.from_geometries([shapely.box(5, 46, 6, 47), nested], ["east", "west"])
+    assert coast.names == ("east", "west", "west")
+    np.testing.assert_array_equal(
+        coast.is_land([[5.5, 46.5], [-5.5, 46.5], [-1.5, 46.5], [-2.5, 47.5]]),
+        [True, True, True, False],
+    )
+
+
 def test_the_whole_world_can_be_turned(world: LandCoast) -> None:
     turned = world.around(180)
     assert shapely.is_valid(turned.polygons).all()
@@ -404,6 +422,11 @@ def test_what_is_no_stretch_is_refused(coast: LandCoast, stretch: Any, shown: st
     for length in (0, -1, "long", np.nan):
         with pytest.raises(dc.ScenarioError, match=f"length_km: {length!r} is not accepted"):
             coast.divide(length)
+    with pytest.raises(
+        dc.ScenarioError,
+        match=r"length_km: 0\.001 is not accepted; it would make 1[0-9]{6} ",
+    ):
+        coast.divide(1e-3)
 
 
 @given(st.floats(-400, 400), st.floats(-360, 360))
@@ -423,6 +446,12 @@ def test_near_longitudes(longitude: float, reference: float) -> None:
         ("bad.geojson", "{", "bad.geojson: cannot be read as GeoJSON"),
         ("bad.geojson.gz", "{", "cannot be read as GeoJSON"),
         ("list.geojson", "[1]", "list.geojson: cannot be read as GeoJSON: it holds no object"),
+        (
+            "text.geojson",
+            json.dumps({"type": "FeatureCollection", "features": "land"}),
+            "text.geojson: cannot be read as GeoJSON: features should be a list",
+        ),
+        ("long" * 100 + ".geojson", None, "path: .* is not accepted; there is no such file"),
         ("bad.gpkg", "text", "bad.gpkg: cannot be read as a map"),
         ("empty.geojson", json.dumps(features()), "empty.geojson: holds no polygon"),
         (

@@ -115,3 +115,8 @@ def test_no_run_has_more_response_times_than_steps_can_be() -> None:
     for drag, told in ((1e6 / 3, None), (1.1e6 / 3, "drag: .* at most 1000000 response times")):
         with refused(told):
             _core.Scenario(sea, None, drag, 3.0, still, still)
+
+
+def test_what_a_shell_completes_is_there() -> None:
+    assert dir(dc) == sorted(dc.__all__)
+    assert all(hasattr(dc, name) for name in dc.__all__)

@@ -5,19 +5,21 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 import xarray as xr
 
 import driftcore as dc
 from driftcore.climate import synthetic_record
-from driftcore.distributed import connected
+from driftcore.distributed import connected, need_distributed
 from driftcore.errors import DriftCoreError, OutputError
 from driftcore.geographic_configuration import read_configuration
 from test_combined import identical
@@ -64,18 +66,24 @@ def dask(*how: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of a scheduler without workers: `dask scheduler`."""
-    file = tmp_path_factory.mktemp("scheduler") / "scheduler.json"
+@contextmanager
+def scheduling(folder: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Address and process of a scheduler without workers: `dask scheduler`."""
+    file = folder / "scheduler.json"
     how = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
-    with dask("scheduler", *how):
+    with dask("scheduler", *how) as process:
         deadline = time.monotonic() + 60
         while not file.exists():
             assert time.monotonic() < deadline
             time.sleep(0.05)
         time.sleep(0.1)
-        yield json.loads(file.read_text())["address"]
+        yield json.loads(file.read_text())["address"], process
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with scheduling(tmp_path_factory.mktemp("scheduler")) as (address, _):
+        yield address
 
 
 def worker(address: str, threads: int = 1) -> contextmanager[subprocess.Popen[bytes]]:
@@ -175,3 +183,105 @@ def test_a_scheduler_without_workers(
             store=tmp_path / "out.zarr",
             client=client,
         )
+
+
+class StopError(Exception):
+    """Where a run is stopped."""
+
+
+def test_all_followed_already_takes_no_workers(
+    case: tuple[Path, xr.Dataset],
+    scheduler: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A run that ended between its last chunk and its name."""
+    scenario, whole = case
+    how = {"folder": scenario.parent, "store": tmp_path / "out.zarr", "chunk": 50}
+
+    def stopped(_: object) -> NoReturn:
+        raise StopError
+
+    with monkeypatch.context() as patched:
+        patched.setattr("driftcore.store._Growing.finish", stopped)
+        with pytest.raises(StopError):
+            dc.run(read_configuration(scenario), **how)
+    with connected(scheduler) as client:
+        assert not client.nthreads()
+        forecast = dc.run(read_configuration(scenario), **how, resume=True, client=client)
+    assert identical(forecast.dataset.load(), whole)
+
+
+def test_members_over_which_workers_die(
+    case: tuple[Path, xr.Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import dask as settings
+
+    def dying(*_: object) -> None:
+        os._exit(1)
+
+    monkeypatch.setattr("driftcore.distributed._follow", dying)
+    with (
+        settings.config.set({"distributed.scheduler.allowed-failures": 0}),
+        connected(workers=1) as client,
+        pytest.raises(DriftCoreError, match="workers: several died over the same members: "),
+    ):
+        dc.run(
+            read_configuration(case[0]),
+            folder=case[0].parent,
+            store=tmp_path / "out.zarr",
+            client=client,
+        )
+
+
+def test_workers_without_what_is_needed(
+    case: tuple[Path, xr.Dataset],
+    scheduler: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def lacking(*_: object) -> NoReturn:
+        raise ModuleNotFoundError("No module named 'driftcore'")
+
+    monkeypatch.setattr("driftcore.distributed._follow", lacking)
+    with (
+        worker(scheduler),
+        connected(scheduler) as client,
+        pytest.raises(DriftCoreError, match="workers: they cannot go on: No module named 'drift"),
+    ):
+        dc.run(
+            read_configuration(case[0]),
+            folder=case[0].parent,
+            store=tmp_path / "out.zarr",
+            client=client,
+        )
+
+
+def test_a_scheduler_that_is_gone(case: tuple[Path, xr.Dataset], tmp_path: Path) -> None:
+    scenario, whole = case
+    how = {"folder": scenario.parent, "store": tmp_path / "out.zarr", "chunk": CHUNK}
+    with (
+        scheduling(tmp_path) as (address, process),
+        worker(address),
+        connected(address) as client,
+    ):
+
+        def progress(done: int, _: int) -> None:
+            if done == 3 * CHUNK:
+                process.kill()
+
+        with pytest.raises(DriftCoreError, match="workers: they cannot go on: "):
+            dc.run(read_configuration(scenario), **how, client=client, progress=progress)
+    # What was finished is kept.
+    seen: list[int] = []
+    forecast = dc.run(
+        read_configuration(scenario), **how, resume=True, progress=lambda done, _: seen.append(done)
+    )
+    assert seen[0] >= 3 * CHUNK
+    assert identical(forecast.dataset.load(), whole)
+
+
+def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(DriftCoreError, match=r"not installed: pip install \"driftcore\[distrib"):
+        need_distributed()

@@ -230,6 +230,19 @@ def test_without_paths_there_is_nothing_to_give(
         export.export(none, tmp_path / "a.nc", of_others)
 
 
+def test_without_maps_there_are_no_cells(sea: dc.GeographicForecast) -> None:
+    with pytest.raises(dc.ScenarioError, match="presence: not in the dataset, accepted is a fore"):
+        export.presence_cells(sea.dataset.drop_vars("presence"))
+
+
+def test_what_gdal_cannot_write_is_told(sea: dc.GeographicForecast, tmp_path: Path) -> None:
+    """A driver that this GDAL lacks; no file is left."""
+    layers = [export.presence_cells(sea)]
+    with pytest.raises(dc.OutputError, match=r"cells\.gpkg: cannot be written: .*no such driver"):
+        export._write_layers(layers, tmp_path / "cells.gpkg", "no such driver", False)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_parquet_says_what_to_install(
     sea: dc.GeographicForecast, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -250,6 +263,8 @@ def test_the_accessor_says_what_the_forecast_does(
         drawn = accessor.plot.running_estimate(checkpoints=[10])
         assert drawn[0].axes.get_xlabel() == "members"
         assert "running_estimate" in dir(accessor.plot)
+        # What notebooks ask any object for, which must not cost a forecast.
+        assert not hasattr(accessor, "_repr_png_")
         with pytest.raises(AttributeError, match="no figure 'pie'"):
             _ = accessor.plot.pie
     assert "arrival_curve" in dir(sea.dataset.driftcore.plot)

@@ -20,6 +20,7 @@ import xarray as xr
 import driftcore as dc
 from driftcore.currents import Current
 from driftcore.errors import DriftCoreWarning, ScenarioError
+from driftcore.geographic import Scaling
 from reference import Floats
 
 RADIUS = 6_371_008.8
@@ -282,7 +283,36 @@ def test_leaving_the_data_is_a_status() -> None:
     assert dc.forecast(pole, [steady((0, 20))], model="full").counts["left_domain"] == 1
 
 
+def test_a_trajectory_that_leaves_the_data_is_an_error() -> None:
+    still = current(around(0, 1), around(0, 1), [0.0], [0.0])
+    scenario = dc.GeographicScenario(
+        dc.Release.point(0.5, 0, RELEASED), 5, LIGHT, current=still.mean()
+    )
+    with pytest.raises(dc.DriftCoreError, match=r"lies outside the domain of the sea field"):
+        dc.trajectory(scenario, steady((20, 0)), model="full", times=hourly(5))
+
+
+def test_a_trajectory_that_cannot_be_so_exact_is_an_error() -> None:
+    with pytest.raises(dc.DriftCoreError, match=r"integration failed at t = .*: "):
+        dc.trajectory(
+            biscay(5), steady((20, 0)), model="full", times=hourly(5), rtol=1e-300, atol=1e-300
+        )
+
+
 # Times
+
+
+def test_a_trajectory_begins_with_its_release() -> None:
+    """The first member is set adrift at a time of its own."""
+    release = dc.Release.point(-5, 46, (START, START + DAY))
+    scenario = dc.GeographicScenario(release, 2, LIGHT)
+    own = dc.forecast(scenario, [steady((3, 1))]).dataset["release_time"].values[0]
+    assert START < own < START + DAY
+    with pytest.raises(ScenarioError, match="the release is at"):
+        dc.trajectory(scenario, steady((3, 1)), model="full", times=[START])
+    path = dc.trajectory(scenario, steady((3, 1)), model="full", times=[own, own + HOUR])
+    assert float(path["longitude"][0]) == pytest.approx(-5)
+    assert float(path["longitude"][1]) > -5
 
 
 def test_times_with_a_zone_are_converted() -> None:
@@ -332,6 +362,29 @@ def test_the_wind_has_its_time_of_the_day(embedded_wind: dc.LocalGridBootstrap) 
 def test_a_release_on_land_is_refused_with_the_distance() -> None:
     with pytest.raises(ScenarioError, match=r"lies on land, \d+\.\d km from the sea toward"):
         biscay(release=dc.Release.point(-1.5, 48.1, RELEASED))
+
+
+def test_a_release_after_the_end_is_refused() -> None:
+    """The run lasts from the earliest release; one an hour before its end may be later by law."""
+    release = dc.Release.point(-5, 46, (START, START + 2 * DAY), time_error_h=12)
+    scenario = biscay(2.1, release=release)
+    with pytest.raises(ScenarioError, match=r"release: one is at 2026-07-03.*, after the end"):
+        dc.forecast(scenario, [steady((0, 0))] * 500, model="full")
+
+
+def test_what_is_not_small_is_said() -> None:
+    scaling = Scaling(
+        epsilon=0.01, tide=0.5, residual=0.2, excursion_km=4.0, steepness=0.1, unit_length_km=500
+    )
+    assert scaling.problems() == []
+    steep = scaling._replace(steepness=1.5).problems()
+    assert steep == ["the tidal current changes by 150% over its own excursion of 4.0 km"]
+    fast = scaling._replace(residual=0.7).problems()
+    assert fast == ["the residual current (0.7 m/s) exceeds the tide (0.5 m/s)"]
+    few = scaling._replace(epsilon=0.5).problems()
+    assert few == ["epsilon = 0.5 (a tide over the run)"]
+    # Where there is no tide nothing is averaged.
+    assert scaling._replace(tide=0.0, epsilon=0.5, residual=0.7).problems() == []
 
 
 @pytest.mark.parametrize(
@@ -387,6 +440,15 @@ def test_a_current_must_cover_the_run_and_no_more() -> None:
         ([steady((0, 0))], {"times": [0.5]}, "times: must be UTC"),
         ([steady((0, 0))], {"times": [START + DAY, START]}, "times: must increase"),
         ([steady((0, 0))], {"targets": {"a": [[0, 0, 0]]}}, "targets.a"),
+        ([steady((0, 0))], {"window": 0.1}, "window: 0.1 is not accepted on a geographic sce"),
+        ([steady((0, 0))], {"wind_terms": False}, 'wind_terms: only the model "paper" has them'),
+        ([steady((0, 0))], {"first_member": 1}, "first_member: 1 is not accepted; 1 paths were"),
+        ([steady((0, 0))], {"threads": 1025}, "threads: 1025 is not accepted; at most 1024"),
+        (
+            [steady((0, 0))],
+            {"maps": dc.MapGrid(x=(-6, -5), y=(45, 46), times=(1000.0,))},
+            "maps.times: 1000.* is not accepted",
+        ),
     ],
 )
 def test_bad_runs_are_refused_before_any_work(
@@ -394,6 +456,13 @@ def test_bad_runs_are_refused_before_any_work(
 ) -> None:
     with pytest.raises(ScenarioError, match=message):
         dc.forecast(biscay(), wind, **options)
+
+
+def test_what_is_followed_is_a_scenario_under_a_wind() -> None:
+    with pytest.raises(ScenarioError, match="scenario: str is not accepted; a Scenario or Geogr"):
+        dc.forecast("biscay", [steady((0, 0))])  # type: ignore[call-overload]
+    with pytest.raises(ScenarioError, match="path: list is not accepted; give a WindPath"):
+        dc.trajectory(biscay(), [1.0], model="full", times=[START])  # type: ignore[arg-type]
 
 
 def test_a_time_that_is_none_is_refused() -> None:

@@ -271,6 +271,7 @@ REFUSED: dict[str, tuple[str, ...]] = {
     toml(rest='[current]\nfiles = "current.nc"\ndetide = true'): ("[current] time: the tide",),
     toml(rest='[coast]\nfile = "no.geojson"'): ("coast.file: 'no.geojson'", "no such file"),
     toml(rest='[coast]\nfile = "land.geojson"\nname_column = "n"'): ("[coast] name_column: 'n'",),
+    toml(rest=f'[coast]\nfile = "{"n" * 5000}"'): ("coast.file: 'nnn", "File name too long"),
     toml(rest='[coast]\nname_column = "n"'): ("[coast] name_column: 'n'", "has no names"),
     toml(rest="[coast]\nstretches = {a = [0, 1, 1, 0]}"): ("coast.stretches.a", "south"),
     toml(rest="[coast]\ndivide_km = 9\nstretches = {a = [0, 0, 1, 1]}"): ("coast.divide_km",),
@@ -339,3 +340,7 @@ def test_absurd_cells_are_refused(
 
     with pytest.raises(dc.ScenarioError, match=message):
         MapConfiguration(region=region, cell=cell, days=(5.0,))
+
+
+def test_a_scenario_without_a_coast_has_none() -> None:
+    assert configured(toml()).replace(coast=None).divided_coast() is None

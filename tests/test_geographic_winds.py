@@ -130,6 +130,15 @@ def test_drift_between_ocean_and_weather_models_is_scipys_within_a_metre() -> No
     assert np.hypot(*apart) * 111_195 < 1.0
 
 
+def test_a_grid_is_one_wind_for_all_members() -> None:
+    grid, run = blowing(), scenario()
+    found = dc.forecast(run, grid, members=3, seed=2).dataset
+    assert found.attrs["wind_label"] == grid.describe()
+    np.testing.assert_array_equal(found["longitude"][0], found["longitude"][2])
+    alone = dc.trajectory(run, grid, model="mean-flow", times=found["time"].values)
+    np.testing.assert_allclose(found["longitude"][1], alone["longitude"], atol=1e-6)
+
+
 @pytest.fixture(scope="module")
 def fields() -> dc.FieldBootstrap:
     return dc.FieldBootstrap.fit(weather(8), h=0.4)
@@ -170,6 +179,11 @@ def test_refusals() -> None:
         dc.forecast(run, far, members=2)
     with pytest.raises(dc.ScenarioError, match="datetime64"):
         dc.forecast(run, [dc.WindPath([0, 9], [[1, 0], [1, 0]])])
+    for few in (1, [0, 1, 2, 4]):
+        rows = np.atleast_1d(few)
+        part = dataclasses.replace(grid, times=grid.times[rows], u=grid.u[rows], v=grid.v[rows])
+        with pytest.raises(dc.ScenarioError, match="its times are not regular; at least two, eq"):
+            dc.forecast(run, part, members=2)
     hole = grid.u.copy()
     hole[0, 0, 0] = np.nan
     with pytest.raises(dc.ScenarioError, match="missing values"):

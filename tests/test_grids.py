@@ -207,6 +207,11 @@ def test_dimensions_in_another_order() -> None:
     same(read_vector_grid(hycom().transpose("lon", "time", "lat"), "current"))
 
 
+def test_a_dimension_of_one() -> None:
+    """Such as the number of the only member of an ensemble."""
+    same(read_vector_grid(hycom().expand_dims(member=1, axis=1), "current"))
+
+
 def test_names_given() -> None:
     dataset = hycom().rename(water_u="a", water_v="b")
     with pytest.raises(RecordError, match="no current is found among 'a', 'b'"):
@@ -416,6 +421,18 @@ def curvilinear() -> xr.Dataset:
     )
 
 
+def in_terms_of(name: str, values: Any, **attributes: str) -> xr.Dataset:
+    """A dataset whose axis has other values and attributes."""
+    return hycom().assign_coords({name: (name, values, attributes)})
+
+
+def on_a_map() -> xr.Dataset:
+    """Mercator's meridians and parallels are straight, and so have one dimension each."""
+    dataset = hycom().assign_coords(crs=((), 0, {"grid_mapping_name": "Mercator"}))
+    dataset["water_u"].attrs["grid_mapping"] = "crs"
+    return dataset
+
+
 @pytest.mark.parametrize(
     ("dataset", "message"),
     [
@@ -426,6 +443,45 @@ def curvilinear() -> xr.Dataset:
         (lambda: hycom().where(False), "values: .* no value in the region"),
         (lambda: hycom().where(LON[:, None] != LON[3], 1e4), "stands for a missing value"),
         (lambda: cmems().isel(depth=[2]).assign_coords(depth=[500.0]), None),
+        (on_a_map, "grid: 'water_u' is on a mercator map; turn the components toward east and nor"),
+        (
+            lambda: hycom().drop_vars("lon").rename(lon="i"),
+            r"longitude: 'water_u' has dimensions \('time', 'lat', 'i'\); missing is a 1-D, reg",
+        ),
+        (
+            lambda: (
+                hycom()
+                .expand_dims(s=[-0.9, -0.1])
+                .assign_coords(s=("s", [-0.9, -0.1], {"standard_name": "ocean_s_coordinate_g2"}))
+            ),
+            "levels: 's' follows the terrain",
+        ),
+        (
+            lambda: cmems().assign_coords(depth=("depth", [0.0, 1.0, 25.0], {"units": "dbar"})),
+            "levels: 'depth' is in 'dbar'; select one level first, e.g. dataset.isel",
+        ),
+        (lambda: in_terms_of("lat", LAT + 50), "latitude: 94 to 98.75 is not accepted; it should"),
+        (
+            lambda: in_terms_of("lat", np.where(LAT == 45, np.nan, LAT)),
+            "latitude: 20 value.s., 1 missing; at least 2, all finite, are needed",
+        ),
+        (lambda: hycom().isel(lat=[3]), "latitude: 1 value.s., 0 missing; at least 2"),
+        (
+            lambda: hycom().isel(lon=[0, 1]).assign_coords(lon=[0.0, 360.0]),
+            "longitude: all values are one meridian; at least 2 are needed",
+        ),
+        (
+            lambda: hycom().assign_coords(time=[pd.NaT, *TIMES[1:]]),
+            r"time: 1 of 9 are missing; drop them, e.g. dataset.dropna\('time'\)",
+        ),
+        (
+            lambda: in_terms_of("time", np.arange(9.0), units="fortnights since 2020-06-01"),
+            "time: units 'fortnights since 2020-06-01' of 'time' cannot be decoded: ",
+        ),
+        (
+            lambda: hycom().assign(water_u=hycom()["water_u"].assign_attrs(units="furlong/h")),
+            "units of 'water_u': 'furlong/h' is not accepted; use 'm/s', .*, as units= if the file",
+        ),
     ],
 )
 def test_refused(dataset: Callable[[], xr.Dataset], message: str | None) -> None:
@@ -435,6 +491,11 @@ def test_refused(dataset: Callable[[], xr.Dataset], message: str | None) -> None
         message = "levels: 0 m is wanted and the nearest of 'depth' is 500 m"
     with pytest.raises(RecordError, match=message):
         read_vector_grid(made, "current")
+
+
+def test_units_given_are_known() -> None:
+    with pytest.raises(RecordError, match=r"units: 'mph' is not accepted; use .* or 'knots'$"):
+        read_vector_grid(hycom(), "current", units="mph")
 
 
 def test_wind_needs_every_value() -> None:

@@ -1,8 +1,12 @@
 """What does not fit into memory is refused before it is made, by the argument that asks for it."""
 
+import math
+import os
 import re
+import resource
 import time
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -139,3 +143,46 @@ def test_small_things_are_made_without_a_look_at_the_system(monkeypatch: Any) ->
     memory.require_room("members", 1000, 8, "members")
     with pytest.raises(dc.ScenarioError, match=r"members: 1e\+07 members are .* 0.08 GB, 0 GB are"):
         memory.require_room("members", 10**7, 8, "members")
+
+
+def test_a_container_leaves_what_it_does_not_use(monkeypatch: Any, tmp_path: Path) -> None:
+    """Of two limits the tighter holds; what says "max", or is not there, limits nothing."""
+    files = {"max": "max", "wide": f"{2**21}\n", "tight": f"{2**20}\n", "used": f"{2**19}\n"}
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="ascii")
+
+    def left(*limits: str) -> float:
+        groups = [(str(tmp_path / limit), str(tmp_path / "used")) for limit in limits]
+        monkeypatch.setattr(memory, "_GROUPS", groups)
+        return memory.available()
+
+    assert left("max", "absent") > 2**21
+    assert left("max", "wide") == 2**21 - 2**19
+    assert left("wide", "tight") == left("tight", "wide") == 2**19
+    # Used beyond the limit, which happens for a moment.
+    (tmp_path / "used").write_text(f"{2**22}", encoding="ascii")
+    assert left("tight") == 0
+
+
+def test_a_limit_of_the_process_leaves_what_it_does_not_use(monkeypatch: Any) -> None:
+    """`ulimit -v`: the whole address space of the process counts against it."""
+    before = memory.available()
+    taken = resource.getpagesize() * int(Path("/proc/self/statm").read_text().split()[0])
+    limit = taken + 2**28
+    limits = {resource.RLIMIT_AS: (limit, resource.RLIM_INFINITY)}
+    monkeypatch.setattr(resource, "getrlimit", limits.__getitem__)
+    assert memory.available() == pytest.approx(2**28, abs=2**27)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
+    assert memory.available() == pytest.approx(before, rel=0.5)
+
+
+def test_without_what_linux_tells_it_is_all_of_the_machine(monkeypatch: Any) -> None:
+    monkeypatch.setattr(memory, "_GROUPS", ())
+
+    def absent(path: Path, **_: Any) -> str:
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(Path, "read_text", absent)
+    assert memory.available() == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    monkeypatch.delattr(os, "sysconf")
+    assert memory.available() == math.inf

@@ -11,7 +11,7 @@ import xarray as xr
 
 import driftcore as dc
 from driftcore.errors import ScenarioError
-from driftcore.multifidelity import TWO_LEVELS, combined_probability
+from driftcore.multifidelity import TWO_LEVELS, _combined, combined_probability
 from driftcore.statistics import paired_difference, wilson
 
 MEAN_FLOW_2: dict[str, Any] = {"model": "mean-flow", "order": 2}
@@ -130,6 +130,28 @@ def test_the_sea_of_the_world() -> None:
     assert found.count == cheap.sum() > 0
     assert found.estimate == pytest.approx(cheap.mean() + full.mean() - cheap[:48].mean())
     assert found.disagreement[0] < 0.15
+
+
+def test_the_wind_of_the_paper_if_none_is_named() -> None:
+    scenario = dc.paper.scenario()
+    found = dc.multifidelity_probability(scenario, members=(40, 10), seed=4)
+    named = dc.multifidelity_probability(
+        scenario, dc.paper.default_wind(), members=(40, 10), seed=4
+    )
+    assert (found.count, found.gained, found.lost) == (named.count, named.gained, named.lost)
+    assert found.count > 0
+
+
+def test_members_that_fail_count_on_no_level() -> None:
+    """Ten of a hundred failed on the first level, two of them among the twenty of the next."""
+    event = np.arange(100) % 2 == 0
+    first = np.arange(100) % 10 != 7
+    found = _combined([event, ~event[:20]], [first, np.ones(20, dtype=bool)], [1.0, 1.0], 0.95)
+    assert found.followed == (90, 18)
+    assert (found.count, found.gained, found.lost) == (50, (8,), (10,))
+    none = np.zeros(20, dtype=bool)
+    with pytest.raises(ScenarioError, match="members: of 20 on level 1 none could be followed"):
+        _combined([event, event[:20]], [first, none], [1.0, 1.0], 0.95)
 
 
 def test_winds_given_one_by_one(embedded_wind: dc.LocalGridBootstrap) -> None:

@@ -20,7 +20,9 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from driftcore import plot
+from driftcore.dataset import with_maps
 from driftcore.errors import DriftCoreError, OutputError, ScenarioError
+from driftcore.maps import MapGrid
 
 if TYPE_CHECKING:
     from io import BytesIO
@@ -424,6 +426,14 @@ def test_time_series_draw_wind_position_and_error() -> None:
     ]
 
 
+def test_speeds_in_units_are_called_so() -> None:
+    """Where a trajectory comes from elsewhere."""
+    full, averaged = make_trajectories()
+    full["velocity"].attrs["units"] = "m s-1"
+    artists: list[Any] = plot.time_series(full, averaged, LinearPath())
+    assert figure_of(artists).axes[0].get_ylabel() == "wind, x\n[m s-1]"
+
+
 def test_velocity_series_smooth_the_wind_over_the_window() -> None:
     full, averaged = make_trajectories()
     path = LinearPath()
@@ -616,6 +626,18 @@ def test_save_all_writes_print_quality(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == sorted(FILES)
     for path in paths:
         assert plt.imread(path).shape[1] == 1400
+
+
+def test_save_all_draws_each_map(tmp_path: Path) -> None:
+    grid = MapGrid(x=(0.5, 1.0, 1.5), y=(0.5, 1.0, 1.5), times=(0.5, 1.0))
+    present, nobody = np.array([20, 10, 5, 5, 0, 5, 20, 15]), np.zeros(2, dtype=np.uint32)
+    arrived = np.concatenate([present, nobody, nobody])
+    forecast = with_maps(make_forecast(), grid, [present, arrived, nobody, nobody])
+    paths = plot.save_all(forecast, tmp_path)
+    assert [path.name for path in paths] == [*FILES, "presence_1.png", "presence_2.png"]
+    first, second = (plt.imread(path) for path in paths[-2:])
+    assert first.shape == second.shape
+    assert (first != second).any()
 
 
 def test_save_all_refuses_to_overwrite_and_then_writes_nothing(tmp_path: Path) -> None:

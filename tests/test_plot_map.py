@@ -18,7 +18,7 @@ from matplotlib.text import Text
 from typer.testing import CliRunner
 
 import driftcore as dc
-from driftcore import cli, plot_map, plot_presence
+from driftcore import cli, map_drawing, plot_map, plot_presence
 from driftcore.statistics import wilson
 
 # A coast along 2° W with a bay, and a lake behind it.
@@ -155,6 +155,18 @@ def test_a_lake_is_no_land(forecast: dc.GeographicForecast) -> None:
     image = np.asarray(_drawn(axes))
     assert _colour(axes, image, -0.75, 45.25) == (255, 255, 255)
     assert _colour(axes, image, -1.7, 45.25) == (0xE9, 0xE4, 0xD9)
+
+
+def test_land_is_drawn_beyond_the_dateline() -> None:
+    """Where the view runs over it, in whichever turn the land is told."""
+    land = dc.LandCoast.from_geometries(shapely.box(-176, -18, -174, -16))
+    axes = map_drawing.new_figure((6, 6)).subplots()
+    axes.set_xlim(178, 188)
+    axes.set_ylim(-22, -12)
+    map_drawing.draw_land(axes, land)
+    image = np.asarray(_drawn(axes))
+    assert _colour(axes, image, 185, -17) == (0xE9, 0xE4, 0xD9)
+    assert _colour(axes, image, 180, -17) == (255, 255, 255)
 
 
 def _drawn(axes: Any) -> Any:

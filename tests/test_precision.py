@@ -137,3 +137,17 @@ def test_refusals(
 ) -> None:
     with pytest.raises(ScenarioError, match=message):
         dc.forecast(dc.paper.scenario(), embedded_wind, **options)
+
+
+@pytest.mark.parametrize("precision", [1e-4, 0.25, 0.4999])
+def test_precisions_that_are_accepted(precision: float) -> None:
+    class StopError(Exception):
+        pass
+
+    @until_precise
+    def follow(*, members: Any, precision: Any, **_: Any) -> Forecast:
+        raise StopError(members, precision)
+
+    with pytest.raises(StopError) as asked:
+        follow(members="auto", precision=precision)
+    assert asked.value.args == (1000, precision)

@@ -117,6 +117,35 @@ def test_rare_is_reached_at_a_small_cost() -> None:
     assert str(found) == f"{found.estimate:.3g} [{found.low:.3g}, {found.high:.3g}]"
 
 
+def test_plain_members_have_the_same_standard_error() -> None:
+    def of(*replicates: float) -> dc.RareProbability:
+        values = np.array(replicates)
+        mean = float(values.mean())
+        return dc.RareProbability(mean, 0.0, 1.0, values, np.zeros(0), np.zeros(1), 100)
+
+    found = of(0.1, 0.2, 0.3)
+    assert found.standard_error == pytest.approx(0.1 / math.sqrt(3))
+    assert found.plain_members == pytest.approx(0.2 * 0.8 / (0.01 / 3))
+    assert found.level == 0.95
+    # Without spread none compares.
+    assert math.isnan(of(0.0, 0.0).plain_members)
+
+
+def test_an_importance_that_tells_nothing_leaves_a_plain_ensemble() -> None:
+    found = dc.rare_probability(
+        OFTEN,
+        particles=60,
+        replicates=10,
+        importance=lambda times, positions: np.zeros((len(positions), len(times))),
+    )
+    plain = dc.forecast(OFTEN, dc.paper.default_wind(), members=2000, seed=8, keep=0)
+    share = plain.stranding_probability().estimate
+    assert (found.levels.tolist(), found.conditional[0]) == ([0.0], 1.0)
+    # 600 members of a run and 2000 of another: four standard errors.
+    error = math.sqrt(share * (1 - share) * (1 / 600 + 1 / 2000))
+    assert abs(found.estimate - share) < 4 * error
+
+
 def test_intervals_are_those_of_student() -> None:
     """Of replicates 1, 2, 3, 4, 5: mean 3, standard error sqrt(1/2), t of 4 degrees 2.776."""
     estimates = np.arange(1.0, 6.0)

@@ -238,6 +238,14 @@ def test_what_is_no_release_is_refused(make: Any, message: str) -> None:
         make()
 
 
+def test_words_say_where_when_and_how_well_it_is_known() -> None:
+    assert Release.point(-3, 47, DAY).describe() == ("47.0000 N 3.0000 W; 2024-06-01 12:00 UTC")
+    wide = Release.polygon(FIJI, (DAY, "2024-06-02"), position_error_m=300, time_error_h=1)
+    words = wide.describe()
+    assert words.startswith("a polygon of 4 points from 18.0000 S 179.0000 E, known to 300 m; 2024")
+    assert words.endswith("2024-06-01 12:00 to 2024-06-02 00:00 UTC, known to 1 h")
+
+
 def test_a_corner_at_the_pole_is_refused() -> None:
     with pytest.raises(dc.ScenarioError, match=r"coordinates: .* it has no even area"):
         Release.polygon([(-4.2, 90.0), (-4.0, 47.1), (-4.0, 47.3)], DAY)

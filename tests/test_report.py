@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from typer.testing import CliRunner
 import driftcore as dc
 from driftcore import cli
 from driftcore.dataset import with_maps
-from driftcore.report import _MOST_CELLS
+from driftcore.report import _MOST_CELLS, _MOST_PLACES, _coast_lines
 
 HOSTILE = '</script><img src=x onerror="alert(1)">{{ 7 * 7 }} & $$x$$'
 SCENARIO = f"""
@@ -184,6 +185,51 @@ def test_the_paper_case_has_a_page_too(plane: dc.Forecast, tmp_path: Path) -> No
     assert f"In {100 * p.estimate:.0f} of 100 cases it strands within 26 days" in words
     assert "academic case" in words
     assert scene_of(page)["cells"] is None
+
+
+def test_places_of_stranding_are_joined_where_there_are_many(
+    plane: dc.Forecast, tmp_path: Path
+) -> None:
+    members, rng = 6000, np.random.default_rng(2)
+    many = plane.dataset.isel(member=np.zeros(members, dtype=int)).drop_vars("member")
+    many = many.assign_coords(member=np.arange(members))
+    many["status"][:] = 1
+    many["stranding_time"][:] = 0.5
+    ends = rng.uniform(0, 2, (members, 2))
+    many["stranding_position"][:] = ends
+    scene = scene_of(written(dc.Forecast(many), tmp_path))
+    places = scene["strandings"]
+    assert 300 < len(places["x"]) <= _MOST_PLACES
+    share = np.array([level[0] for level in scene["levels"]])[places["levels"][-1]]
+    assert share.sum() == pytest.approx(100, abs=0.1)
+    middle = [np.average(places[axis], weights=share) for axis in "xy"]
+    assert middle == pytest.approx(ends.mean(axis=0).tolist(), abs=5e-3)
+
+
+def test_a_plane_of_polygons_without_paths(tmp_path: Path) -> None:
+    ring = [(0.8, 0.8), (1.2, 0.8), (1.2, 1.2), (0.8, 1.2)]
+    scenario = dc.paper.scenario(coast=dc.Polygons(rings=[ring]))
+    made = dc.forecast(scenario, dc.paper.default_wind(), members=60, keep=0)
+    assert made.counts["stranded"] > 0
+    page = written(made, tmp_path)
+    assert f"In {100 * made.stranding_probability().estimate:.0f} of 100 cases it strands" in page
+    case: Any = SimpleNamespace(geographic=False, dataset=made.dataset)
+    (line,) = _coast_lines(case)
+    np.testing.assert_array_equal(line, [*ring, ring[0]])
+
+
+def test_what_averaging_takes_for_small_is_doubted(tmp_path: Path) -> None:
+    short = SCENARIO.replace('kind = "none"', 'kind = "biscay"')
+    short = short.replace("days = 20.0", "days = 1.0").replace("[5.0, 10.0, 20.0]", "[1.0]")
+    configuration = dc.GeographicConfiguration.from_toml(short)
+    with pytest.warns(dc.DriftCoreWarning, match="averaging takes for small"):
+        made = dc.run(configuration)
+    doubt = "Averaging takes for small what here is not: epsilon = 0.52 (a tide over the run)"
+    assert doubt in " ".join(Elements(written(made, tmp_path)).words.split())
+    full = short.replace("members = 200", 'members = 200\nmodel = "full"')
+    made = dc.run(dc.GeographicConfiguration.from_toml(full))
+    (tmp_path / "full").mkdir()
+    assert "Averaging takes" not in Elements(written(made, tmp_path / "full")).words
 
 
 def test_it_stays_small(plane: dc.Forecast, tmp_path: Path) -> None:

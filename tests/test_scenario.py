@@ -278,3 +278,10 @@ def test_configurations_are_frozen_and_compare_by_value() -> None:
         scenario.drag = 2.0  # type: ignore[misc]
     assert scenario == dc.paper.scenario()
     assert len({scenario, dc.paper.scenario(), scenario.replace(drag=2.0)}) == 2
+
+
+def test_precision_is_sought_by_members_that_are_open() -> None:
+    with pytest.raises(
+        dc.ScenarioError, match=r'precision: 0\.02 is not accepted with members = 50; .* "auto" it'
+    ):
+        dc.RunConfiguration.from_toml("[ensemble]\nmembers = 50\nprecision = 0.02")

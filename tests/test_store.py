@@ -24,6 +24,7 @@ import driftcore as dc
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreWarning, OutputError, ScenarioError
 from driftcore.geographic_configuration import read_configuration
+from driftcore.store import Job
 from test_combined import identical
 
 pytest.importorskip("zarr", minversion="3", reason="the stores' zarr is 3 or later")
@@ -375,7 +376,13 @@ def test_refused_names(plane: Case, tmp_path: Path) -> None:
 def test_the_command_goes_on_where_it_was_interrupted(plane: Case, tmp_path: Path) -> None:
     scenario, whole = plane
     store = tmp_path / "out.zarr"
-    process = subprocess.Popen(command(scenario, store, "-q"), stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command(scenario, store, "-q"),
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that runs the tests in the background makes them deaf to the signal.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     while not (tmp_path / "out.zarr.part" / "manifest.json").exists():
         assert process.poll() is None
         time.sleep(0.001)
@@ -393,3 +400,76 @@ def test_the_command_goes_on_where_it_was_interrupted(plane: Case, tmp_path: Pat
     )
     assert end.returncode == 2
     assert "--chunk: is of a store" in end.stderr
+
+
+def test_work_of_another_version_is_refused(plane: Case) -> None:
+    """As a worker with another driftcore is given it."""
+    scenario, _ = plane
+    job = Job.of(read_configuration(scenario), scenario.parent)
+    with pytest.raises(OutputError, match=rf"version: {dc.__version__} of .* the run is of 9\.9"):
+        job._replace(version="9.9").follow(0, 2)
+
+
+@pytest.fixture
+def at_sea(folder: Path, tmp_path: Path) -> Path:
+    """A scenario file of a real sea, with a coast, a current and a wind in files."""
+    shutil.copy(folder / "wind.csv", tmp_path)
+    pyogrio = pytest.importorskip("pyogrio")
+    shapely = pytest.importorskip("shapely")
+    pyogrio.raw.write(
+        tmp_path / "land.shp",
+        geometry=shapely.to_wkb(np.array([shapely.box(-4, 46, -3, 49)])),
+        field_data=[np.array(["Brittany"], dtype=object)],
+        fields=np.array(["name"], dtype=object),
+        geometry_type="Polygon",
+        crs="EPSG:4326",
+    )
+    text = GEOGRAPHIC + '[coast]\nfile = "land.shp"\n'
+    (tmp_path / "sea.toml").write_text(text, encoding="utf-8")
+    return tmp_path / "sea.toml"
+
+
+def test_files_beside_a_shapefile_are_of_it(at_sea: Path, tmp_path: Path) -> None:
+    names = {Path(file).name for file, _ in Job.of(read_configuration(at_sea), tmp_path).inputs}
+    assert {"wind.csv", "land.shp", "land.shx", "land.dbf", "land.prj"} <= names
+    stopped(at_sea, tmp_path / "out.zarr", 30)
+    with (tmp_path / "land.dbf").open("ab") as file:
+        file.write(b" ")
+    with pytest.raises(OutputError, match=r"SHA-256 of .*land\.dbf is '[0-9a-f]+', and was '"):
+        run(at_sea, tmp_path / "out.zarr", resume=True)
+
+
+def test_files_that_cannot_be_read_are_told(tmp_path: Path) -> None:
+    scenario = tmp_path / "plane.toml"
+    scenario.write_text(PLANE, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"wind\.csv: no such file"):
+        run(scenario, tmp_path / "out.zarr")
+    (tmp_path / "wind.csv").mkdir()
+    with pytest.raises(OutputError, match=r"wind\.csv: cannot be read: Is a directory"):
+        run(scenario, tmp_path / "out.zarr")
+    assert not (tmp_path / "out.zarr.part").exists()
+
+
+def test_a_lock_that_cannot_be_made_is_told(plane: Case, tmp_path: Path) -> None:
+    (tmp_path / "out.zarr.part").write_text("a file", encoding="utf-8")
+    with pytest.raises(OutputError, match=r"out\.zarr\.part: cannot be written: .*File exists"):
+        run(plane[0], tmp_path / "out.zarr")
+
+
+def test_each_warning_is_said_once(folder: Path, tmp_path: Path) -> None:
+    """However many chunks meet it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        run(folder / "geographic.toml", tmp_path / "out.zarr")
+    told = [str(warning.message) for warning in caught]
+    assert len(told) == len({*told}) > 0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        dc.run(read_configuration(folder / "geographic.toml"), folder=folder)
+    assert told == [str(warning.message) for warning in caught]
+
+
+def test_without_the_libraries_of_stores(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("driftcore.store._installed", lambda name: name != "filelock")
+    with pytest.raises(dc.DriftCoreError, match=r'filelock, which is not .* "driftcore\[store\]"'):
+        dc.open_forecast(tmp_path / "out.zarr")

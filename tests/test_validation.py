@@ -317,6 +317,11 @@ def test_validate_prints_the_table(
     ]
     out = capsys.readouterr().out
     assert all(word in out for word in ("measured", "required", "0.0007", "ok"))
+    code = call(monkeypatch, "--json")
+    told = json.loads(capsys.readouterr().out)
+    assert told["passed"] == (code == 0) == all(check["passed"] for check in told["checks"])
+    assert [check["name"] for check in told["checks"]] == [check.name for check in small.checks]
+    assert {"measured", "low", "high"} <= told["checks"][0].keys()
 
 
 @pytest.mark.parametrize(
@@ -414,3 +419,20 @@ def test_errors_of_one_wind_have_no_range() -> None:
     one = Errors(*np.full((5, 1), 0.25))
     assert validation_report._spread(one.velocity) == "0.250"
     assert validation_report._spread(np.array([0.1, 0.2]), 2) == "0.15 [0.10,0.20]"
+
+
+def test_no_errors_have_no_summary() -> None:
+    assert validation._summary(np.zeros(0)) == {}
+    found = validation._summary(np.arange(101.0))
+    assert found == {"mean": 50, "min": 0, "max": 100, "q5": 5, "q50": 50, "q95": 95}
+
+
+def test_the_full_effort_strands_by_the_system_of_the_paper_too() -> None:
+    effort = replace(SMALL, members=6, paper_strandings=True)
+    found = validation._strandings(effort)
+    labels = ["full", validation.MEAN_FLOW_1, validation.MEAN_FLOW_2]
+    assert [case.label for case in found] == [*labels, validation.PAPER, validation.PAPER_WITHOUT]
+    # All follow the same winds: whoever strands does so at about the same time and place.
+    for case in found:
+        assert case.different <= 1
+        assert (case.distance < 0.02).all()

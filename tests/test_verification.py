@@ -42,6 +42,17 @@ def test_parts_of_brier_add_up_whatever_the_bins(bins: Any) -> None:
     assert found.score == pytest.approx(total, abs=1e-14)
 
 
+def test_parts_of_brier_where_each_case_has_its_bin() -> None:
+    """Ten bins by default, and here a case in each of three: what happens is told apart wholly."""
+    found = verification.brier([0.05, 0.55, 0.95], [False, True, True])
+    assert found == verification.brier([0.05, 0.55, 0.95], [False, True, True], 10)
+    assert found.reliability == pytest.approx((0.05**2 + 0.45**2 + 0.05**2) / 3)
+    assert found.resolution == pytest.approx(2 / 9)
+    # The edge at 0.9 is one of ten bins and none of nine.
+    p, happened = np.array([0.895, 0.905]), [False, True]
+    assert verification.brier(p, happened).resolution == pytest.approx(0.25)
+
+
 def test_reliability_by_hand() -> None:
     p = np.array([0.0, 0.1, 0.1, 0.9, 1.0])
     found = verification.reliability(p, [0, 0, 1, 1, 1], bins=5)
@@ -212,6 +223,50 @@ def require_calibrated(found: xr.Dataset) -> None:
     assert opposite.attrs["p_value"] <= 0.05
 
 
+def test_events_by_hand() -> None:
+    """Four members as seen from (1, 1): north at 0.2, east at 0.4, afloat, and west at 0.6."""
+    inf, nan = np.inf, np.nan
+    dims = ("scenario", "release", "member")
+    place = [[1.0, 1.5], [1.5, 1.0], [nan, nan], [0.5, 1.0]]
+    entry = [[0.1], [inf], [0.3], [0.5]]
+    hindcasts = xr.Dataset(
+        {
+            "stranding_time": (dims, [[[0.2, 0.4, inf, 0.6]]]),
+            "stranding_position": ((*dims, "component"), [[place]]),
+            "entry_time": ((*dims, "target"), [[entry]]),
+            "observed_stranding_time": (dims[:2], [[0.4]]),
+            "observed_stranding_position": ((*dims[:2], "component"), [[[1.0, 0.5]]]),
+            "observed_entry_time": ((*dims[:2], "target"), [[[inf]]]),
+        },
+        {"target": ["port"]},
+    )
+    found = hindcast.events(hindcasts, (0.4, 1.0), 4, CENTER).isel(scenario=0, release=0)
+    told = {
+        str(event.values): (float(p), bool(o))
+        for event, p, o in zip(found["event"], found["probability"], found["happened"], strict=True)
+    }
+    assert told == {
+        "stranded by 0.4": (0.5, True),
+        "stranded by 1": (0.75, True),
+        "stranded toward 0°": (0.25, False),
+        "stranded toward 90°": (0.25, False),
+        "stranded toward 180°": (0.0, True),
+        "stranded toward 270°": (0.25, False),
+        "entered port by 0.4": (0.5, False),
+        "entered port by 1": (0.75, False),
+    }
+
+
+@pytest.mark.parametrize("step_h", [1, 6])
+def test_releases_have_a_day_before_them_and_a_run_after_them(step_h: int) -> None:
+    times = np.datetime64("2001-06-01", "s") + np.arange(0, 6 * 24, step_h) * np.timedelta64(1, "h")
+    of_six_days = dc.WindRecord(times, np.zeros((len(times), 2)), step_h, "six days")
+    per_day = 24 // step_h
+    for days, every, expected in ((2, 1, [1, 2, 3]), (2, 2, [1, 3]), (3, 1, [1, 2]), (4, 1, [1])):
+        rows = hindcast._releases(of_six_days, days * per_day + 1, every)
+        assert (rows / per_day).tolist() == expected
+
+
 def test_one_summer_left_out_is_calibrated() -> None:
     require_calibrated(left_out(record()))
 
@@ -260,6 +315,22 @@ def test_forecasts_from_the_present_know_the_past_only() -> None:
     changed[: row - 2] += 5.0
     other = dc.WindRecord(summer.times, changed, summer.step_h, "changed")
     np.testing.assert_array_equal(wind, hindcast.from_present(climate(), other, row, 3, steps, 1))
+
+
+def test_forecasts_of_the_climate_know_the_time_of_the_day_only() -> None:
+    """Members of the climate begin with any wind that it has at midnight."""
+    summer, row = record(), 40
+    assert str(summer.times[row])[11:16] == "00:00"
+    wind = hindcast.from_climate(climate(), summer, row, 4000, 5, 1)
+    assert wind.shape == (4000, 5, 2)
+    np.testing.assert_array_equal(wind, hindcast.from_climate(climate(), summer, 80, 4000, 5, 1))
+    known = climate().record
+    hours = (known.times - known.times.astype("datetime64[D]")).astype("timedelta64[h]")
+    for step in range(5):
+        now = known.velocity[hours.astype(int) == 6 * step % 24]
+        # Four standard errors of 4000 independent members, and as much again of the record's.
+        error = 8 * now.std(axis=0) / np.sqrt(4000)
+        assert (np.abs(wind[:, step].mean(axis=0) - now.mean(axis=0)) < error).all()
 
 
 # Figures

@@ -324,6 +324,14 @@ def test_from_files(tmp_path: Path) -> None:
     )
 
 
+def test_a_record_read_before_serves_as_well(fitted: FieldBootstrap) -> None:
+    again = FieldBootstrap.fit(GriddedWindRecord.from_grid(weather(8), (6, 7, 8)), h=0.4)
+    np.testing.assert_array_equal(
+        again.sample(2, 9, 1).components, fitted.sample(2, 9, 1).components
+    )
+    assert repr(fitted) == f"FieldBootstrap({fitted.bootstrap!r}, share={fitted.share:.3f})"
+
+
 def test_gaps_between_summers_need_months() -> None:
     with pytest.raises(RecordError, match="time: gap of"):
         FieldBootstrap.fit(weather(2), None)
@@ -357,3 +365,16 @@ def test_too_short_for_its_components() -> None:
     with pytest.warns(dc.DriftCoreWarning, match=r"components carry 0\.\d+ of the wind's variance"):
         wind = FieldBootstrap.fit(dataclasses.replace(grid, u=u, v=v), h=0.4)
     assert len(wind.shares) == 3 * 368 // 40
+
+
+@pytest.mark.filterwarnings("ignore:the wind record has 1 season")
+def test_components_that_grow_are_refused() -> None:
+    """A gradient that swells through the only summer has no stationary memory."""
+    grid = weather(1)
+    growing = np.exp(np.arange(len(grid.times)) / 20)
+    growing *= 4 / growing[-1]
+    u = grid.u.mean(axis=(1, 2), keepdims=True) + growing[:, None, None] * np.linspace(-1, 1, 6)
+    u = np.broadcast_to(u, grid.u.shape).copy()
+    v = np.broadcast_to(grid.v.mean(axis=(1, 2), keepdims=True), u.shape).copy()
+    with pytest.raises(RecordError, match=r"the noise of its components grows \(1\.0\d+ a step\)"):
+        FieldBootstrap.fit(dataclasses.replace(grid, u=u, v=v), carried=3, h=0.4)

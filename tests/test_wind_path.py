@@ -315,3 +315,10 @@ def test_paths_must_cover_the_run() -> None:
     short = dc.WindPaths([0.0, 0.9], np.zeros((2, 2, 2)))
     with pytest.raises(dc.ScenarioError, match=r"wind: they cover \[0, 0.9\]"):
         dc.forecast(dc.paper.scenario(), short)
+
+
+@pytest.mark.parametrize("times", [["2026-07-01", "NaT"], []])
+def test_times_of_a_path_are_times(times: list[str]) -> None:
+    instants = np.array(times, dtype="datetime64[ns]")
+    with pytest.raises(dc.ScenarioError, match="times: must be UTC times, at least 2, none"):
+        dc.WindPath(instants, np.zeros((len(times), 2)))

@@ -412,8 +412,7 @@ class LandCoast:
         -------
         tuple of float
             Geodesic distance [km], 0 afloat; bearing of the nearest water [degrees from north].
-            Sides of the region that the coast was cut to are no coast; infinite, NaN: there is
-            no other.
+            Sides of the region that the coast was cut to are no coast.
         """
         import shapely
 
@@ -424,8 +423,6 @@ class LandCoast:
         lines = [
             chain for ring in shapely.get_rings(self._land[inside]) for chain in self._open(ring)
         ]
-        if not lines:
-            return math.inf, math.nan
         # True distance from its centre, so that the nearest point of the plane is the nearest.
         plane = _plane(longitude, latitude)
         fine = shapely.segmentize([shapely.LineString(line) for line in lines], _STRAIGHT)
@@ -461,11 +458,7 @@ class LandCoast:
                 )
         if land.any():
             distance, bearing = self.distance_to_sea_km(*values[land][0])
-            far = (
-                f"{distance:.1f} km from the sea toward {_POINTS[round(bearing / 45) % 8]}"
-                if math.isfinite(distance)
-                else "with no sea around it in the region"
-            )
+            far = f"{distance:.1f} km from the sea toward {_POINTS[round(bearing / 45) % 8]}"
             share = "" if len(land) == 1 else f" ({land.sum()} of {len(land)} points do)"
             place = place_name(*values[land][0])
             raise ScenarioError(f"{what} at {place} is not accepted; it lies on land, {far}{share}")

@@ -74,6 +74,7 @@ def followed(
         There are no workers, one cannot do the work, or the scheduler is gone.
     """
     from dask.distributed import CancelledError, KilledWorker, as_completed
+    from distributed.comm import CommClosedError
 
     if not todo:
         return
@@ -108,7 +109,7 @@ def followed(
             yield number, part
     except KilledWorker as error:
         raise DriftCoreError(f"workers: several died over the same members: {error}") from None
-    except (CancelledError, ModuleNotFoundError) as error:
+    except (CancelledError, CommClosedError, ModuleNotFoundError) as error:
         raise DriftCoreError(f"workers: they cannot go on: {error}") from None
     finally:
         finished.clear()

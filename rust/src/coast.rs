@@ -216,6 +216,17 @@ mod tests {
         assert!(Coast::circle(Vec2::zeros(), 0.0, Side::Inside).is_err());
     }
 
+    #[test]
+    fn no_place_has_no_clearance() -> Result<(), DriftError> {
+        for side in [Side::Inside, Side::Outside] {
+            let circle = Coast::circle(Vec2::zeros(), 1.0, side)?;
+            for x in [Vec2::new(f64::NAN, 0.0), Vec2::new(0.0, f64::INFINITY)] {
+                assert!(circle.clearance(x).is_nan());
+            }
+        }
+        Ok(())
+    }
+
     /// A straight passage through a circle, as a piece of trajectory.
     struct Passage {
         offset: f64,
@@ -250,6 +261,11 @@ mod tests {
         assert!(circle.first_crossing(&Passage { offset: 1.001 }, 0.1)?.is_none());
         let grazing = circle.first_crossing(&Passage { offset: 0.9999 }, 0.1)?;
         assert!(grazing.is_some_and(|(t, _)| t < 2.0));
+        // What is lost on its way to the coast has not met it.
+        for offset in [f64::NAN, f64::INFINITY] {
+            let lost = circle.first_crossing(&Passage { offset }, 0.1);
+            assert!(lost.is_err_and(|error| error.to_string().contains("state is not finite")));
+        }
         Ok(())
     }
 }

@@ -86,3 +86,47 @@ pub fn positive(field: &'static str, value: f64) -> Result<f64, DriftError> {
         Err(DriftError::invalid(field, value, "it must be a finite number above 0"))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told<T>(result: Result<T, DriftError>) -> String {
+        result.err().map_or_else(String::new, |error| error.to_string())
+    }
+
+    #[test]
+    fn what_no_memory_holds_is_refused() -> Result<(), DriftError> {
+        assert!(room::<f64>("members", 7)?.capacity() >= 7);
+        let count = 1 << 58;
+        let expected = format!("members: {count} is not accepted; there is no memory for");
+        assert_eq!(told(room::<f64>("members", count)), format!("{expected} {} bytes", count * 8));
+        // Bytes that no number counts are said as the most that one does.
+        assert!(
+            told(room::<f64>("members", usize::MAX)).ends_with(&format!("{} bytes", usize::MAX))
+        );
+        Ok(())
+    }
+
+    #[test]
+    fn a_list_has_as_many_places_as_its_sides_say() -> Result<(), DriftError> {
+        assert_eq!(product("cells", &[3, 4, 5])?, 60);
+        assert_eq!(product("cells", &[])?, 1);
+        assert_eq!(product("cells", &[1 << 61, 2])?, 1 << 62);
+        let many = "cells: [2305843009213693952, 4] is not accepted; that is too many";
+        assert_eq!(told(product("cells", &[1 << 61, 4])), many);
+        assert!(told(product("cells", &[1 << 62, 4])).ends_with("that is too many"));
+        Ok(())
+    }
+
+    #[test]
+    fn numbers_are_finite_or_above_zero() {
+        assert!(finite("drag", &[1.0, -2.0, 0.0]).is_ok());
+        let refused = told(finite("drag", &[1.0, f64::INFINITY]));
+        assert_eq!(refused, "drag: inf is not accepted; it must be finite");
+        assert_eq!(positive("drag", 1e-300), Ok(1e-300));
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(told(positive("drag", bad)).ends_with("it must be a finite number above 0"));
+        }
+    }
+}

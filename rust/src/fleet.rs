@@ -239,6 +239,14 @@ mod tests {
             assert!(refused(|f| f.bodies[0].jibed.slope = bad)?.contains(finite));
             assert!(refused(|f| f.bodies[0].surface_current[1] = bad)?.contains(finite));
         }
+        assert_eq!(refused(|f| f.first = MOST_MEMBERS - 1)?, "");
+        assert!(refused(|f| f.first = MOST_MEMBERS)?.contains("members are numbered to 2⁶²"));
+        // A run of length 1, of ten tides.
+        assert_eq!(refused(|f| f.jibing_rate = MOST_JIBES)?, "");
+        assert!(refused(|f| f.jibing_rate = 1.001 * MOST_JIBES)?.contains("10000000 jibes"));
+        assert!(refused(|f| f.jibing_rate = f64::NAN)?.starts_with("jibing rate: NaN"));
+        assert_eq!(refused(|f| f.end = 0.1 * MOST_TIDES)?, "");
+        assert!(refused(|f| f.end = 0.1001 * MOST_TIDES)?.contains("at most 1000000 tides"));
         assert!(refused(|f| f.bodies[0].response = -1e-9)?.contains("must not be below 0"));
         assert!(refused(|f| f.bodies[0].slip = -1e-9)?.contains("must not be below 0"));
         Ok(())

@@ -75,11 +75,6 @@ impl MapGrid {
         &self.samples
     }
 
-    /// Number of map times, of rows and of columns.
-    pub fn shape(&self) -> [usize; 3] {
-        [self.times.len(), self.y.count, self.x.count]
-    }
-
     fn cells(&self) -> usize {
         self.x.count * self.y.count
     }

@@ -393,6 +393,19 @@ mod tests {
     }
 
     #[test]
+    fn a_constituent_needs_a_frequency() {
+        let axis = Axis { start: 0.0, step: 1.0, count: 1 };
+        for (omega, good) in [(1e-9, true), (0.0, false), (-1.0, false), (f64::NAN, false)] {
+            let tide = Tide::Constituents(vec![Harmonic { omega, ..Harmonic::default() }]);
+            let made = GriddedSea::new(0.1, [axis; 3], tide, 2, vec![0.0.into(); 2]);
+            let told = made.err().map_or_else(String::new, |error| error.to_string());
+            let refusal = format!("constituent: {omega} is not accepted; it needs a frequency");
+            assert_eq!(told.starts_with(&refusal), !good, "{told}");
+            assert_eq!(told.is_empty(), good, "{told}");
+        }
+    }
+
+    #[test]
     fn derivatives_match_differences() -> Result<(), DriftError> {
         let sea = sea()?;
         let (t, x, d) = (0.23, Vec2::new(0.31, 0.12), 1e-5);

@@ -252,6 +252,31 @@ mod tests {
         Ok(Arc::new(WindPatterns::new([axis, axis], 2, nodes.collect())?))
     }
 
+    fn told<T>(made: Result<T, DriftError>) -> String {
+        made.err().map_or_else(String::new, |error| error.to_string())
+    }
+
+    #[test]
+    fn patterns_and_amplitudes_that_do_not_fit_are_refused() -> Result<(), DriftError> {
+        let axis = Axis { start: 0.0, step: 1.0, count: 4 };
+        let made = |count, nodes| WindPatterns::new([axis, axis], count, nodes);
+        let short = "71 values is not accepted; the axes and 2 patterns need 72, at least 1";
+        assert!(told(made(2, vec![Vec2::zeros(); 71])).contains(short));
+        assert!(told(made(0, vec![])).contains("0 patterns need 0, at least 1"));
+        for bad in [Vec2::new(f64::NAN, 0.0), Vec2::new(0.0, f64::INFINITY)] {
+            assert!(told(made(1, vec![bad; 36])).ends_with("they must be finite"));
+        }
+        let winds = |grid, amplitudes| FieldWinds::new(patterns()?, grid, 0, amplitudes, None);
+        assert!(winds((0.0, 2.0, 3), vec![0.0; 12]).is_ok());
+        let few = "wind amplitudes: 7 values, 3 steps is not accepted; at least 2 steps, 6 values";
+        assert!(told(winds((0.0, 2.0, 3), vec![0.0; 7])).starts_with(few));
+        assert!(told(winds((0.0, 2.0, 1), vec![0.0; 2])).contains("2 values, 1 steps"));
+        assert!(told(winds((0.0, 2.0, 3), vec![])).contains("0 values, 3 steps"));
+        assert!(told(winds((0.0, 2.0, 3), vec![f64::NAN; 6])).ends_with("they must be finite"));
+        assert!(told(winds((0.0, 0.0, 3), vec![0.0; 6])).starts_with("wind step: 0"));
+        Ok(())
+    }
+
     #[test]
     fn patterns_are_added_linearly_in_time() -> Result<(), DriftError> {
         let amplitudes = vec![1.0, 0.0, 3.0, 2.0, 5.0, 0.0];

@@ -70,3 +70,40 @@ impl HandOver {
 fn matrix(values: Matrix2<f64>) -> [f64; 4] {
     [values.m11, values.m12, values.m21, values.m22]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(forecasts: usize, spread: Vec<f64>, memory: f64) -> String {
+        let matrices = [Matrix2::new(memory, 0.0, 0.0, 1.0), Matrix2::zeros(), Matrix2::zeros()];
+        let made = HandOver::new(vec![Vec2::new(1.0, 2.0); forecasts], spread, matrices);
+        made.err().map_or_else(String::new, |error| error.to_string())
+    }
+
+    #[test]
+    fn what_makes_no_forecast_is_refused() {
+        assert_eq!(told(6, vec![0.1, 0.2, 0.3], 0.5), "");
+        let each = "forecasts: 5 values is not accepted; 3 for each forecast";
+        assert_eq!(told(5, vec![0.1, 0.2, 0.3], 0.5), each);
+        assert!(told(0, vec![0.1], 0.5).contains("0 values is not accepted"));
+        for (spread, memory) in [(f64::NAN, 0.5), (0.1, f64::INFINITY)] {
+            assert!(told(2, vec![0.1, spread], memory).ends_with("every value must be finite"));
+        }
+    }
+
+    #[test]
+    fn forecasts_are_dealt_in_turn() -> Result<(), DriftError> {
+        let forecasts = (0..6).map(|k| Vec2::new(f64::from(k), 0.0)).collect();
+        let one = Matrix2::identity();
+        let hand_over = HandOver::new(forecasts, vec![0.0, 1.0, 2.0], [one; 3])?;
+        assert_eq!(hand_over.steps(), 3);
+        let error = Vec2::new(0.0, 10.0);
+        for (member, step, expected) in
+            [(0, 0, [0.0, 0.0]), (1, 2, [5.0, 20.0]), (4, 1, [1.0, 10.0])]
+        {
+            assert_eq!(hand_over.anomaly(member, step, error), Vec2::from(expected));
+        }
+        Ok(())
+    }
+}
