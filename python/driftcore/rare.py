@@ -237,10 +237,9 @@ class _Splitting:
         self.branch = np.arange(stride, steps, stride)
         self.times = self.branch * np.float64(step)
         self.outputs = np.append(self.times, scenario.duration)
-        # What happens after the last of these times can be branched no more.
-        self.branch = np.append(self.branch, _NO_BRANCH)
-        self.importance = importance
-        self.followed = 0
+        self.importance: Importance | _Approach | None = importance
+        self.named = 0
+        self.followed = 0.0
         self.failure: str | None = None
         self.failed: list[NDArray[np.int8]] = []
 
@@ -250,7 +249,7 @@ class _Splitting:
         rng = self._choices("pilot")
         levels: list[float] = []
         while True:
-            reached = np.sort(swarm.scores.max(axis=1))
+            reached = np.sort(swarm.past.scores.max(axis=1))
             level = float(reached[math.floor((1 - _PASSING) * particles)])
             if level == math.inf:
                 return np.array(levels)
@@ -271,42 +270,39 @@ class _Splitting:
         swarm = _Swarm(self, particles, replicates)
         rng = self._choices("run")
         shares = [swarm.pass_level(level, rng) for level in levels]
-        happened = np.isposinf(swarm.scores[:, -1]).reshape(replicates, particles)
+        happened = np.isposinf(swarm.past.scores[:, -1]).reshape(replicates, particles)
         # A replicate that died out contributes 0 whatever it is counted as after that.
         return np.column_stack([*shares, happened.mean(axis=1)])
 
-    def follow(self, steps: NDArray[np.int64], members: NDArray[np.uint64]) -> Floats:
-        """Follow lineages; give their scores, shape (lineages, times + 1), the end last.
-
-        Infinite from the first time on at which the event has happened.
-        """
-        count = len(steps)
+    def follow(self, particles: _core.Particles, past: _Past) -> None:
+        """Follow particles, and write down what comes after their past."""
+        count = len(past.known)
         fates = Fates.empty(count, count, len(self.outputs), len(self.areas))
-        lineages = _core.Lineages(steps, members)
-        winds = (*self.winds.core, lineages)
+        winds = (*self.winds.core, particles)
         failure = self.compiled.run(
             winds, self.solver, 0, self.outputs, count, fates, self.threads, self.areas
         )
         self.failure = self.failure or failure
         self.failed.append(fates.status)
-        self.followed += count
+        self.followed += particles.followed()
         if self.importance is None:
             self.importance = self._learned(fates.position)
-        positions = fates.position[:, : len(self.times)]
-        scores = np.asarray(self.importance(self.times, positions), dtype=float)
-        if scores.shape != (count, len(self.times)):
-            raise ScenarioError(
-                f"importance: a result of shape {scores.shape} is not accepted; one value for each "
-                f"member and time, {(count, len(self.times))}, is"
-            )
-        scores = np.column_stack([scores, np.full(count, -np.inf)])
-        scores[np.isnan(scores)] = -np.inf
+        later = np.arange(len(self.times)) >= past.known[:, None]
+        past.positions[later] = fates.position[:, : len(self.times)][later]
+        if isinstance(self.importance, _Approach):
+            self.importance.look(past)
+        else:
+            scores = np.asarray(self.importance(self.times, past.positions), dtype=float)
+            if scores.shape != later.shape:
+                raise ScenarioError(
+                    f"importance: a result of shape {scores.shape} is not accepted; one value for "
+                    f"each member and time, {later.shape}, is"
+                )
+            past.scores[:, :-1][later] = np.where(np.isnan(scores), -np.inf, scores)[later]
         happened = fates.entry_time[:, 0] if self.areas else fates.stranding_time
-        known_by = np.append(self.times, np.inf)
-        scores[happened[:, None] <= known_by] = np.inf
-        return scores
+        past.scores[happened[:, None] <= np.append(self.times, np.inf)] = np.inf
 
-    def _learned(self, positions: Floats) -> Importance:
+    def _learned(self, positions: Floats) -> _Approach:
         scenario = self.scenario
         area = self.area or scenario.coast
         assert area is not None  # noqa: S101 (for the type checker: the event has an area)
@@ -314,8 +310,9 @@ class _Splitting:
         return _Approach(area, inside, np.array(scenario.position), positions, len(self.times))
 
     def new_members(self, count: int) -> NDArray[np.uint64]:
-        """Members nobody has been yet: as many as were followed before are taken."""
-        return np.arange(self.followed, self.followed + count, dtype=np.uint64)
+        """Members nobody has been yet."""
+        self.named += count
+        return np.arange(self.named - count, self.named, dtype=np.uint64)
 
     def _choices(self, name: str) -> np.random.Generator:
         """Random numbers that choose who is branched."""
@@ -327,18 +324,52 @@ class _Splitting:
         self.winds.warn()
 
 
+@dataclass(frozen=True)
+class _Past:
+    """What is known of particles at the times at which they may be branched.
+
+    `positions`, of shape (particles, times, 2), NaN once stranded, and `scores`, of shape
+    (particles, times + 1), infinite once the event has happened, -inf before if it only does after
+    the last time. Of the first `known` times, shape (particles,), a branch has its parent's.
+    """
+
+    positions: Floats
+    scores: Floats
+    known: NDArray[np.intp]
+
+    @classmethod
+    def none(cls, particles: int, times: int) -> _Past:
+        """Return what is known at the release."""
+        return cls(
+            np.full((particles, times, 2), np.nan),
+            np.full((particles, times + 1), -np.inf),
+            np.zeros(particles, dtype=np.intp),
+        )
+
+    def until(self, places: NDArray[np.intp], known: NDArray[np.intp]) -> _Past:
+        """Return what branches of some particles know."""
+        scores = self.scores[places]
+        scores[np.arange(scores.shape[1]) >= known[:, None]] = -np.inf
+        return _Past(self.positions[places], scores, known)
+
+    def put(self, places: NDArray[np.intp], other: _Past) -> None:
+        """Put the past of others to some places."""
+        self.positions[places], self.scores[places] = other.positions, other.scores
+
+
 class _Swarm:
-    """The members of some replicates, as many of each, with their lineages and scores."""
+    """The members of some replicates, as many of each, and what they have come to."""
 
     def __init__(self, splitting: _Splitting, particles: int, replicates: int) -> None:
         self.splitting, self.particles, self.replicates = splitting, particles, replicates
-        self.steps = np.zeros((particles * replicates, 1), dtype=np.int64)
-        self.members = splitting.new_members(len(self.steps))[:, None]
-        self.scores = splitting.follow(self.steps, self.members)
+        members = splitting.new_members(particles * replicates)
+        self.members = _core.Particles(members, splitting.branch)
+        self.past = _Past.none(len(members), len(splitting.times))
+        splitting.follow(self.members, self.past)
 
     def pass_level(self, level: float, rng: np.random.Generator) -> Floats:
         """Replace who did not reach the level by branches of who did; give their shares."""
-        reached = (self.scores >= level).reshape(self.replicates, self.particles, -1)
+        reached = (self.past.scores >= level).reshape(self.replicates, self.particles, -1)
         passed = np.asarray(reached.any(axis=2))
         given_up, parents = [], []
         for replicate in range(self.replicates):
@@ -356,15 +387,20 @@ class _Swarm:
         return np.asarray(passed.mean(axis=1))
 
     def _branch(self, given_up: NDArray[np.intp], parents: NDArray[np.intp], level: float) -> None:
-        first = (self.scores[parents] >= level).argmax(axis=1)
-        step = self.splitting.branch[first]
+        first = (self.past.scores[parents] >= level).argmax(axis=1)
+        # Those who begin together are followed side by side.
+        order = np.argsort(first, kind="stable")
+        given_up, parents, first = given_up[order], parents[order], first[order]
+        # Whose event has happened by then has no more to come.
+        over = np.isposinf(self.past.scores[parents, first])
+        self.past.scores[given_up[over]] = self.past.scores[parents[over]]
+        given_up, parents, first = given_up[~over], parents[~over], first[~over]
         fresh = self.splitting.new_members(len(given_up))
-        self.steps[given_up], self.members[given_up] = self.steps[parents], self.members[parents]
-        count = len(self.steps)
-        self.steps = np.column_stack([self.steps, np.full(count, _NO_BRANCH)])
-        self.members = np.column_stack([self.members, np.zeros(count, dtype=np.uint64)])
-        self.steps[given_up, -1], self.members[given_up, -1] = step, fresh
-        self.scores[given_up] = self.splitting.follow(self.steps[given_up], self.members[given_up])
+        branches = self.members.branched(parents, self.splitting.branch[first], fresh)
+        past = self.past.until(parents, first + 1)
+        self.splitting.follow(branches, past)
+        self.members = self.members.replaced(given_up, branches)
+        self.past.put(given_up, past)
 
 
 def _area_of(event: str | ArrayLike | Polygons) -> Polygons | None:
@@ -417,17 +453,16 @@ class _Approach:
         places += [np.broadcast_to(self.start, (len(positions), 2))] * (_LAGS - len(places))
         return np.column_stack([np.ones(len(positions)), *places])
 
-    def __call__(self, times: Floats, positions: Floats) -> Floats:
-        del times  # the regressions know theirs
-        scores = np.full(positions.shape[:2], -np.inf)
+    def look(self, past: _Past) -> None:
+        """Give the scores of the times that are not known yet."""
         for k, forecasts in enumerate(self.forecasts):
-            adrift = np.isfinite(positions[:, k, 0])
-            past = self._past(positions[adrift], k)
+            who = np.flatnonzero((past.known <= k) & np.isfinite(past.positions[:, k, 0]))
+            regressors = self._past(past.positions[who], k)
+            score = np.full(len(who), -np.inf)
             for weights, coast, missing in forecasts:
-                distance = coast.clearances(past @ weights)
-                score = -distance * abs(distance) / 2 - missing
-                scores[adrift, k] = np.maximum(scores[adrift, k], score)
-        return scores
+                distance = coast.clearances(regressors @ weights)
+                score = np.maximum(score, -distance * abs(distance) / 2 - missing)
+            past.scores[who, k] = score
 
 
 def _ring(circle: Circle) -> Floats:

@@ -14,11 +14,12 @@ use crate::lanes::WIDTH;
 use crate::logbook::{Logbook, Watch};
 use crate::model::lanes::{Carrier, Grid, State};
 use crate::model::{Model, OnPiece, Problem, Solver};
+use crate::particles::{Particle, Snapshot};
 use crate::statistics::Maps;
 use crate::wind::fields::FieldWinds;
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
-use crate::wind::{Lineage, Sampling, Wind, WindGenerator};
+use crate::wind::{Sampling, Wind, WindGenerator};
 
 /// Everything about a scenario but its wind.
 pub struct Scenario {
@@ -155,14 +156,16 @@ pub enum Winds<'a> {
         /// The seed.
         seed: u64,
     },
-    /// Drawn by a generator, one for each lineage.
+    /// Drawn by a generator, one for each particle.
     Branched {
         /// The generator.
         generator: &'a WindGenerator,
         /// The seed.
         seed: u64,
-        /// The lineages.
-        lineages: &'a [Lineage],
+        /// The particles.
+        particles: &'a [Arc<Particle>],
+        /// Synoptic steps at which they are to be branched.
+        steps: &'a [usize],
     },
     /// Given, one for each member.
     Given(&'a [&'a WindPath]),
@@ -200,10 +203,10 @@ impl Winds<'_> {
             Self::Drawn { generator, seed } => {
                 generator.path(*seed, member, end, sampling).map(Cow::Owned)
             }
-            Self::Branched { generator, seed, lineages } => {
-                let lineage = (lineages.get(member as usize))
+            Self::Branched { generator, seed, particles, .. } => {
+                let particle = (particles.get(member as usize))
                     .ok_or_else(|| DriftError::invalid("member", member, "it has no lineage"))?;
-                generator.path(*seed, lineage.clone(), end, sampling).map(Cow::Owned)
+                generator.path(*seed, particle.lineage().clone(), end, sampling).map(Cow::Owned)
             }
             Self::Given(paths) => (paths.get(member as usize).map(|path| Cow::Borrowed(*path)))
                 .ok_or_else(|| DriftError::invalid("member", member, "it has no wind path")),
@@ -230,6 +233,8 @@ pub struct Ensemble<'a> {
     end: f64,
     sampling: Sampling,
     side_by_side: Option<SideBySide<'a>>,
+    /// Steps of the common grid before which particles are written down, to be branched.
+    marked: Vec<usize>,
 }
 
 /// Steps taken at once where neither a coast nor an output is looked for.
@@ -292,6 +297,11 @@ impl<'a> Ensemble<'a> {
                 ));
             }
         };
+        let mut marked = Vec::new();
+        if let (Winds::Branched { generator, steps, .. }, Some(shared)) = (winds, &side_by_side) {
+            let before = |step: &usize| shared.grid.step_before(generator.time(*step));
+            marked.extend(steps.iter().map(before));
+        }
         let (maps, targets) = (None, &[][..]);
         Ok(Self {
             scenario,
@@ -304,6 +314,7 @@ impl<'a> Ensemble<'a> {
             end,
             sampling,
             side_by_side,
+            marked,
         })
     }
 
@@ -344,23 +355,33 @@ impl<'a> Ensemble<'a> {
         members.map(|index| self.alone(index)).collect()
     }
 
-    fn log(&self, member: u64) -> Logbook<'a> {
-        Logbook::new(Watch {
+    /// A member's logbook, from a time on.
+    fn log(&self, member: u64, from: f64) -> Logbook<'a> {
+        let watch = Watch {
             coast: self.scenario.coast.as_ref(),
             targets: self.targets,
             period: self.scenario.sea.period(),
             outputs: if member < self.keep { self.times } else { &[] },
             samples: self.maps.map_or(&[], |maps| maps.grid().samples()),
-        })
+        };
+        Logbook::from_release(watch, from)
+    }
+
+    /// The particle of an index, if members are particles.
+    fn particle(&self, index: u64) -> Option<&'a Particle> {
+        match self.winds {
+            Winds::Branched { particles, .. } => particles.get(index as usize).map(Arc::as_ref),
+            _ => None,
+        }
     }
 
     /// Follows one member by the adaptive integrator.
     fn alone(&self, index: u64) -> Member {
         match self.winds.path(index, self.end, self.sampling) {
-            Ok(path) => member(self.log(index), |on_piece| {
+            Ok(path) => member(self.log(index, 0.0), |on_piece| {
                 self.solver.follow(self.scenario.problem(&path), on_piece)
             }),
-            Err(error) => self.log(index).close(Err(error)),
+            Err(error) => self.log(index, 0.0).close(Err(error)),
         }
     }
 
@@ -368,12 +389,19 @@ impl<'a> Ensemble<'a> {
     fn lane_wind(&self, members: std::ops::Range<u64>) -> Result<LaneWind<'_>, DriftError> {
         match self.winds {
             Winds::Drawn { generator, seed } => {
-                LaneWind::drawn(generator, *seed, members, self.sampling)
+                let winds = members.map(|member| generator.member(*seed, member));
+                LaneWind::drawn(generator, winds, self.sampling)
             }
-            Winds::Branched { generator, seed, lineages } => {
+            Winds::Branched { generator, seed, particles, .. } => {
                 let range = members.start as usize..members.end as usize;
-                let lineages = lineages.get(range).unwrap_or_default();
-                LaneWind::drawn(generator, *seed, lineages.iter().cloned(), self.sampling)
+                let particles = particles.get(range).unwrap_or_default().iter();
+                let winds = particles.map(|particle| match particle.start() {
+                    Some(start) => {
+                        Ok(generator.resumed(*seed, particle.lineage(), start.wind.member()))
+                    }
+                    None => generator.member(*seed, particle.lineage().clone()),
+                });
+                LaneWind::drawn(generator, winds, self.sampling)
             }
             Winds::InMemory(paths) => {
                 paths.require(0.0, self.end)?;
@@ -386,7 +414,8 @@ impl<'a> Ensemble<'a> {
     }
 
     /// Follows a group side by side. A member whose error is estimated above the tolerance, or who
-    /// leaves the data, is followed alone: that depends on nobody else.
+    /// leaves the data, is followed alone: that depends on nobody else. Branches join where they
+    /// begin.
     fn abreast(
         &self,
         shared: &SideBySide,
@@ -399,19 +428,44 @@ impl<'a> Ensemble<'a> {
             _ => members.start,
         };
         let index = |place: usize| first + place as u64;
+        let here = |place: usize| members.contains(&index(place));
+        let particles: [Option<&Particle>; WIDTH] =
+            std::array::from_fn(|place| self.particle(index(place)).filter(|_| here(place)));
+        let starts = particles.map(|particle| particle.and_then(Particle::start));
         let mut adrift: [bool; WIDTH] =
-            std::array::from_fn(|place| members.contains(&index(place)));
+            std::array::from_fn(|place| here(place) && starts[place].is_none());
         let mut alone = [false; WIDTH];
-        let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| self.log(index(place)));
+        let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| {
+            self.log(index(place), starts[place].map_or(0.0, |start| start.time))
+        });
+        let mut snapshots: [Vec<Arc<Snapshot>>; WIDTH] = Default::default();
         let Scenario { sea, coast, .. } = self.scenario;
         let bounded = coast.is_some() || !self.targets.is_empty();
         let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
             return members.map(|index| self.alone(index)).collect();
         };
-        let watched = bounded || members.start < self.keep || self.maps.is_some();
+        let branched = matches!(self.winds, Winds::Branched { .. });
+        let watched = bounded || members.start < self.keep || self.maps.is_some() || branched;
         let together = if watched { 1 } else { UNWATCHED_STEPS };
         let mut n = 0;
+        if adrift == [false; WIDTH]
+            && let Some(first) = starts.iter().flatten().min_by_key(|start| start.step)
+        {
+            n = first.step;
+            wind.begin_at(&first.wind);
+        }
         while n < shared.grid.steps() {
+            for (place, start) in starts.iter().enumerate() {
+                if let Some(start) = start.filter(|start| start.step == n) {
+                    adrift[place] = wind.join(place, &start.wind);
+                    alone[place] = !adrift[place];
+                    state.put(place, start.body);
+                } else if adrift[place] && self.marked.contains(&n) {
+                    let (time, body) = (shared.grid.span(n).0, state.place(place));
+                    let snapshot = |wind| Arc::new(Snapshot { step: n, time, body, wind });
+                    snapshots[place].extend(wind.mark(place).map(snapshot));
+                }
+            }
             let steps = n..(n + together).min(shared.grid.steps());
             let last = steps.end - 1;
             n = steps.end;
@@ -446,14 +500,22 @@ impl<'a> Ensemble<'a> {
                     _ => (adrift[place], alone[place]) = (false, true),
                 }
             }
-            if adrift == [false; WIDTH] {
+            let awaited = starts.iter().flatten().any(|start| start.step >= n);
+            if adrift == [false; WIDTH] && !awaited {
                 break;
             }
             wind.go_on(stepped.wind);
         }
+        for (place, snapshots) in snapshots.into_iter().enumerate() {
+            if let Some(particle) = particles[place] {
+                let whole = shared.grid.steps() as f64;
+                let begun = starts[place].map_or(0, |start| start.step) as f64;
+                particle.leave(snapshots, 1.0 - begun / whole + f64::from(alone[place]));
+            }
+        }
         (0..WIDTH)
             .zip(logs)
-            .filter(|(place, _)| members.contains(&index(*place)))
+            .filter(|(place, _)| here(*place))
             .map(
                 |(place, log)| {
                     if alone[place] { self.alone(index(place)) } else { log.close(Ok(())) }

@@ -150,6 +150,11 @@ impl Grid {
         self.steps
     }
 
+    /// The last step that begins at `t` or before.
+    pub fn step_before(&self, t: f64) -> usize {
+        ((t / self.h + 1e-10) as usize).min(self.steps - 1)
+    }
+
     /// Start and end of step `n`.
     pub fn span(&self, n: usize) -> (f64, f64) {
         // The last ends with the run: the sum of the steps may fall short of it by rounding.
@@ -204,6 +209,19 @@ impl State {
             excess_error: Lanes::ZERO,
             lost: [false; WIDTH],
         })
+    }
+
+    /// Where one member is: `P`, and its slope.
+    pub fn place(&self, place: usize) -> [Vec2; 2] {
+        [lane(&self.p, place), lane(&self.stages[6], place)]
+    }
+
+    /// Puts one member to where it, or another, was at this step.
+    pub fn put(&mut self, place: usize, [p, slope]: [Vec2; 2]) {
+        set_lane(&mut self.p, place, p);
+        set_lane(&mut self.stages[6], place, slope);
+        self.excess_error.0[place] = 0.0;
+        self.lost[place] = false;
     }
 
     /// Whether a member's steps up to now cannot be relied on.
