@@ -9,12 +9,13 @@ decide how far it spreads.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,9 +35,8 @@ Importance = Callable[[Floats, Floats], ArrayLike]
 _PASSING = 0.2
 # A pilot run that needs more levels than these comes no nearer: 0.2 to this power is 1e-70.
 _MOST_LEVELS = 100
-# The default importance forecasts from so many times, to so many later times; it is learned from no
-# fewer members than these, and sees a circle with so many corners.
-_LAGS = 3
+# The default importance forecasts to so many later times; it is learned from no fewer members than
+# these, and sees a circle with so many corners.
 _HORIZONS = 3
 _LEAST_LEARNED = 50
 _CORNERS = 16
@@ -45,7 +45,9 @@ _LEAST_REPLICATES = 5
 _LEAST_PARTICLES = 20
 # The pilot run has the members of a quarter of the replicates, but these at least.
 _LEAST_PILOT = 500
-_NO_BRANCH = -1
+_LEAST_PARTS = 2
+# Members followed at once, about: what is kept of them to be branched from takes some 12 kB each.
+_TOGETHER = 2000
 
 
 @dataclass(frozen=True)
@@ -225,18 +227,17 @@ class _Splitting:
         self.area = area
         self.areas = [] if area is None else [area_core("event", area.rings)]
         step = wind.record.step_h / scenario.hours_per_unit
-        steps = math.ceil(self.winds.end / step - 1e-9)
-        # At synoptic steps about a tide apart: the wind until then is drawn, that after it is not.
-        # (What is computed of a time depends on later wind by the error of the integration.)
-        stride = max(1, round(scenario.period / step))
-        if steps <= stride:
+        # Members are branched between parts of the run of about a tide. What is known at the end of
+        # one depends on the wind up to the synoptic step after it.
+        self.parts = round(scenario.duration / max(scenario.period, step))
+        if self.parts < _LEAST_PARTS:
             raise ScenarioError(
-                f"scenario.duration: {scenario.duration:g} is not accepted; the run is over before "
-                f"it can be branched, at {stride * step:g}"
+                f"scenario.duration: {scenario.duration:g} is not accepted; a run is branched "
+                f"between parts of {max(scenario.period, step):g}, and has {_LEAST_PARTS} at least"
             )
-        self.branch = np.arange(stride, steps, stride)
-        self.times = self.branch * np.float64(step)
-        self.outputs = np.append(self.times, scenario.duration)
+        self.ends = scenario.duration * (np.arange(1, self.parts + 1) / self.parts)
+        self.times = self.ends[:-1]
+        self.branch = np.ceil(self.times / step - 1e-9).astype(np.int64)
         self.importance: Importance | _Approach | None = importance
         self.named = 0
         self.followed = 0.0
@@ -263,35 +264,46 @@ class _Splitting:
                     "another importance may, or it cannot happen"
                 )
             levels.append(level)
-            swarm.pass_level(level, rng)
+            swarm.pass_level(level, level, rng)
 
     def run(self, levels: Floats, particles: int, replicates: int) -> Floats:
         """Shares that pass each level and the event, shape (replicates, levels + 1)."""
-        swarm = _Swarm(self, particles, replicates)
+        levels = np.append(levels, math.inf)
         rng = self._choices("run")
-        shares = [swarm.pass_level(level, rng) for level in levels]
-        happened = np.isposinf(swarm.past.scores[:, -1]).reshape(replicates, particles)
-        # A replicate that died out contributes 0 whatever it is counted as after that.
-        return np.column_stack([*shares, happened.mean(axis=1)])
+        together = max(1, _TOGETHER // particles)
+        parts = []
+        for first in range(0, replicates, together):
+            count = min(together, replicates - first)
+            swarm = _Swarm(self, particles, count, levels[0])
+            shares = [swarm.pass_level(*pair, rng) for pair in itertools.pairwise(levels)]
+            happened = np.isposinf(swarm.past.scores[:, -1]).reshape(count, particles)
+            # A replicate that died out contributes 0 whatever it is counted as after that.
+            parts.append(np.column_stack([*shares, happened.mean(axis=1)]))
+        return np.concatenate(parts)
 
-    def follow(self, particles: _core.Particles, past: _Past) -> None:
-        """Follow particles, and write down what comes after their past."""
+    def follow(self, particles: _core.Particles, past: _Past, least: float) -> None:
+        """Follow particles, and write down what comes after their past.
+
+        What is scored below `least` may be left at -inf.
+        """
         count = len(past.known)
-        fates = Fates.empty(count, count, len(self.outputs), len(self.areas))
+        given = self.importance is not None and not isinstance(self.importance, _Approach)
+        fates = Fates.empty(count, count if given else 0, self.parts, len(self.areas))
         winds = (*self.winds.core, particles)
+        kept = len(fates.position)
         failure = self.compiled.run(
-            winds, self.solver, 0, self.outputs, count, fates, self.threads, self.areas
+            winds, self.solver, 0, self.ends, kept, fates, self.threads, self.areas
         )
         self.failure = self.failure or failure
         self.failed.append(fates.status)
         self.followed += particles.followed()
         if self.importance is None:
-            self.importance = self._learned(fates.position)
-        later = np.arange(len(self.times)) >= past.known[:, None]
-        past.positions[later] = fates.position[:, : len(self.times)][later]
+            self.importance = self._learned(particles.seen())
         if isinstance(self.importance, _Approach):
-            self.importance.look(past)
+            self.importance.look(particles.seen(), past, least)
         else:
+            later = np.arange(len(self.times)) >= past.known[:, None]
+            past.positions[later] = fates.position[:, :-1][later]
             scores = np.asarray(self.importance(self.times, past.positions), dtype=float)
             if scores.shape != later.shape:
                 raise ScenarioError(
@@ -302,12 +314,25 @@ class _Splitting:
         happened = fates.entry_time[:, 0] if self.areas else fates.stranding_time
         past.scores[happened[:, None] <= np.append(self.times, np.inf)] = np.inf
 
-    def _learned(self, positions: Floats) -> _Approach:
+    def _learned(self, seen: Floats) -> _Approach:
         scenario = self.scenario
         area = self.area or scenario.coast
         assert area is not None  # noqa: S101 (for the type checker: the event has an area)
-        inside = self.area is None and scenario.side == "inside"
-        return _Approach(area, inside, np.array(scenario.position), positions, len(self.times))
+        return _Approach(area, self.area is None and scenario.side == "inside", seen)
+
+    def nothing_known(self, particles: int) -> _Past:
+        """Past of particles at the release."""
+        # Positions are kept where an importance asks for them.
+        times = (
+            0
+            if self.importance is None or isinstance(self.importance, _Approach)
+            else (len(self.times))
+        )
+        return _Past(
+            np.full((particles, times, 2), np.nan),
+            np.full((particles, self.parts), -np.inf),
+            np.zeros(particles, dtype=np.intp),
+        )
 
     def new_members(self, count: int) -> NDArray[np.uint64]:
         """Members nobody has been yet."""
@@ -328,23 +353,14 @@ class _Splitting:
 class _Past:
     """What is known of particles at the times at which they may be branched.
 
-    `positions`, of shape (particles, times, 2), NaN once stranded, and `scores`, of shape
-    (particles, times + 1), infinite once the event has happened, -inf before if it only does after
-    the last time. Of the first `known` times, shape (particles,), a branch has its parent's.
+    `positions`, of shape (particles, times, 2), NaN once stranded (no times where nobody asks), and
+    `scores`, of shape (particles, times + 1), infinite once the event has happened; the last is of
+    the end. Of the first `known` times, shape (particles,), a branch has its parent's.
     """
 
     positions: Floats
     scores: Floats
     known: NDArray[np.intp]
-
-    @classmethod
-    def none(cls, particles: int, times: int) -> _Past:
-        """Return what is known at the release."""
-        return cls(
-            np.full((particles, times, 2), np.nan),
-            np.full((particles, times + 1), -np.inf),
-            np.zeros(particles, dtype=np.intp),
-        )
 
     def until(self, places: NDArray[np.intp], known: NDArray[np.intp]) -> _Past:
         """Return what branches of some particles know."""
@@ -360,15 +376,21 @@ class _Past:
 class _Swarm:
     """The members of some replicates, as many of each, and what they have come to."""
 
-    def __init__(self, splitting: _Splitting, particles: int, replicates: int) -> None:
+    def __init__(
+        self, splitting: _Splitting, particles: int, replicates: int, least: float = -math.inf
+    ) -> None:
+        """Follow them from the release; scores below `least` do not matter."""
         self.splitting, self.particles, self.replicates = splitting, particles, replicates
         members = splitting.new_members(particles * replicates)
-        self.members = _core.Particles(members, splitting.branch)
-        self.past = _Past.none(len(members), len(splitting.times))
-        splitting.follow(self.members, self.past)
+        self.members = _core.Particles(members, splitting.parts)
+        self.past = splitting.nothing_known(len(members))
+        splitting.follow(self.members, self.past, least)
 
-    def pass_level(self, level: float, rng: np.random.Generator) -> Floats:
-        """Replace who did not reach the level by branches of who did; give their shares."""
+    def pass_level(self, level: float, least: float, rng: np.random.Generator) -> Floats:
+        """Replace who did not reach the level by branches of who did; give their shares.
+
+        Scores of the branches below `least` do not matter.
+        """
         reached = (self.past.scores >= level).reshape(self.replicates, self.particles, -1)
         passed = np.asarray(reached.any(axis=2))
         given_up, parents = [], []
@@ -383,10 +405,12 @@ class _Swarm:
             given_up.append(lost + replicate * self.particles)
             parents.append(shuffled + replicate * self.particles)
         if given_up:
-            self._branch(np.concatenate(given_up), np.concatenate(parents), level)
+            self._branch(np.concatenate(given_up), np.concatenate(parents), level, least)
         return np.asarray(passed.mean(axis=1))
 
-    def _branch(self, given_up: NDArray[np.intp], parents: NDArray[np.intp], level: float) -> None:
+    def _branch(
+        self, given_up: NDArray[np.intp], parents: NDArray[np.intp], level: float, least: float
+    ) -> None:
         first = (self.past.scores[parents] >= level).argmax(axis=1)
         # Those who begin together are followed side by side.
         order = np.argsort(first, kind="stable")
@@ -398,7 +422,7 @@ class _Swarm:
         fresh = self.splitting.new_members(len(given_up))
         branches = self.members.branched(parents, self.splitting.branch[first], fresh)
         past = self.past.until(parents, first + 1)
-        self.splitting.follow(branches, past)
+        self.splitting.follow(branches, past, least)
         self.members = self.members.replaced(given_up, branches)
         self.past.put(given_up, past)
 
@@ -415,54 +439,78 @@ def _area_of(event: str | ArrayLike | Polygons) -> Polygons | None:
         raise ScenarioError(str(error)) from None
 
 
+class _Forecast(NamedTuple):
+    """Forecast of where members will be, in coordinates in which its error has variance 1."""
+
+    weights: Floats
+    area: _core.Coast
+    # Everything is farther from the area than from a ball: one around it, or within a coast.
+    center: Floats
+    radius: float
+    inside: bool
+    missing: float
+
+    def scores(self, known: Floats, least: float) -> Floats:
+        """Logarithms of about the probability in the area; what is below `least` may be -inf."""
+        places = known @ self.weights
+        apart = np.hypot(*(places - self.center).T) - self.radius
+        near = np.flatnonzero(self._score(-apart if self.inside else apart) >= least)
+        scores = np.full(len(known), -np.inf)
+        scores[near] = self._score(self.area.clearances(places[near]))
+        return scores
+
+    def _score(self, distance: Floats) -> Floats:
+        return np.asarray(-distance * abs(distance) / 2 - self.missing)
+
+
 class _Approach:
     """Importance learned from a plain run: docs/equations.md (53).
 
-    From where a member was at the last three times, a linear regression tells where it will be
-    later, and how far that spreads. The nearest approach is told by the logarithm of about the
-    probability that the Gaussian forecast has in the area.
+    From where a member is, how the wind has blown until then and how it blows, a linear regression
+    tells where it will be later, and how far that spreads. The nearest approach is told by the
+    logarithm of about the probability that the Gaussian forecast has in the area.
     """
 
-    def __init__(
-        self, area: Circle | Polygons, inside: bool, start: Floats, positions: Floats, known: int
-    ) -> None:
-        """`positions` are those of the plain run, of which the members asked of know the first."""
-        self.start = start
-        self.forecasts: list[list[tuple[NDArray[Any], _core.Coast, float]]] = []
+    def __init__(self, area: Circle | Polygons, inside: bool, seen: Floats) -> None:
+        """`seen` is of the plain run, shape (parts, members, 6), NaN once stranded."""
+        self.forecasts: list[list[_Forecast]] = []
         rings = [_ring(area)] if isinstance(area, Circle) else [np.array(r) for r in area.rings]
-        for k in range(known):
-            later = np.linspace(k, positions.shape[1] - 1, _HORIZONS + 1).round().astype(int)
+        last = len(seen) - 1
+        for k in range(last):
+            later = np.linspace(k, last, _HORIZONS + 1).round().astype(int)
             self.forecasts.append([])
             for j in np.unique(later[later > k]):
-                adrift = np.isfinite(positions[:, [k, j], 0]).all(axis=1)
-                past, then = self._past(positions[adrift], k), positions[adrift, j]
-                if len(past) < _LEAST_LEARNED:
+                adrift = np.isfinite(seen[[k, j], :, 0]).all(axis=0)
+                known, then = _regressors(seen[k, adrift]), seen[j, adrift, :2]
+                if len(known) < _LEAST_LEARNED:
                     continue
-                weights = np.linalg.lstsq(past, then, rcond=None)[0]
-                missed = then - past @ weights
-                whiten = np.linalg.inv(np.linalg.cholesky(missed.T @ missed / len(past))).T
-                seen = [np.ascontiguousarray(ring @ whiten) for ring in rings]
+                weights = np.linalg.lstsq(known, then, rcond=None)[0]
+                missed = then - known @ weights
+                whiten = np.linalg.inv(np.linalg.cholesky(missed.T @ missed / len(known))).T
+                around = [np.ascontiguousarray(ring @ whiten) for ring in rings]
                 # Less is met of an area smaller than the spread; beyond a coast there is no end.
-                size = math.inf if inside else sum(map(_enclosed, seen)) / math.pi
-                coast = _core.Coast.polygons(seen, inside)
-                self.forecasts[k].append((weights @ whiten, coast, math.log1p(2 / size)))
+                size = math.inf if inside else sum(map(_enclosed, around)) / math.pi
+                coast, corners = _core.Coast.polygons(around, inside), np.concatenate(around)
+                center = corners.mean(axis=0)
+                radius = (
+                    coast.clearance(*center) if inside else np.hypot(*(corners - center).T).max()
+                )
+                self.forecasts[k].append(
+                    _Forecast(weights @ whiten, coast, center, radius, inside, math.log1p(2 / size))
+                )
 
-    def _past(self, positions: Floats, k: int) -> Floats:
-        """Regressors of time `k`, shape (members, 7): before the release everybody is there."""
-        places = [positions[:, k - lag] for lag in range(min(k + 1, _LAGS))]
-        places += [np.broadcast_to(self.start, (len(positions), 2))] * (_LAGS - len(places))
-        return np.column_stack([np.ones(len(positions)), *places])
-
-    def look(self, past: _Past) -> None:
-        """Give the scores of the times that are not known yet."""
+    def look(self, seen: Floats, past: _Past, least: float) -> None:
+        """Give the scores of the times that are not known yet; below `least` they do not matter."""
         for k, forecasts in enumerate(self.forecasts):
-            who = np.flatnonzero((past.known <= k) & np.isfinite(past.positions[:, k, 0]))
-            regressors = self._past(past.positions[who], k)
-            score = np.full(len(who), -np.inf)
-            for weights, coast, missing in forecasts:
-                distance = coast.clearances(regressors @ weights)
-                score = np.maximum(score, -distance * abs(distance) / 2 - missing)
-            past.scores[who, k] = score
+            who = np.flatnonzero((past.known <= k) & np.isfinite(seen[k, :, 0]))
+            known = _regressors(seen[k, who])
+            for forecast in forecasts:
+                scores = np.maximum(past.scores[who, k], forecast.scores(known, least))
+                past.scores[who, k] = scores
+
+
+def _regressors(seen: Floats) -> Floats:
+    return np.column_stack([np.ones(len(seen)), seen])
 
 
 def _ring(circle: Circle) -> Floats:

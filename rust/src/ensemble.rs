@@ -10,11 +10,11 @@ use crate::coast::Coast;
 use crate::dopri5::Work;
 use crate::error::{DriftError, finite, positive};
 use crate::field::{SeaField, Vec2};
-use crate::lanes::WIDTH;
+use crate::lanes::{WIDTH, lane};
 use crate::logbook::{Logbook, Watch};
 use crate::model::lanes::{Carrier, Grid, State};
 use crate::model::{Model, OnPiece, Problem, Solver};
-use crate::particles::{Particle, Snapshot};
+use crate::particles::{Particle, Snapshot, Trail};
 use crate::statistics::Maps;
 use crate::wind::fields::FieldWinds;
 use crate::wind::lanes::{LaneWind, WindPaths};
@@ -164,8 +164,8 @@ pub enum Winds<'a> {
         seed: u64,
         /// The particles.
         particles: &'a [Arc<Particle>],
-        /// Synoptic steps at which they are to be branched.
-        steps: &'a [usize],
+        /// Parts of the run that they may be branched between.
+        parts: usize,
     },
     /// Given, one for each member.
     Given(&'a [&'a WindPath]),
@@ -233,8 +233,6 @@ pub struct Ensemble<'a> {
     end: f64,
     sampling: Sampling,
     side_by_side: Option<SideBySide<'a>>,
-    /// Steps of the common grid before which particles are written down, to be branched.
-    marked: Vec<usize>,
 }
 
 /// Steps taken at once where neither a coast nor an output is looked for.
@@ -275,9 +273,10 @@ impl<'a> Ensemble<'a> {
             }
             let longest = steps_per_tide.map_or(carrier.max_step(), |steps| 1.0 / steps);
             let Scenario { sea, duration, drag, .. } = scenario;
+            let parts = if let Winds::Branched { parts, .. } = winds { *parts } else { 1 };
             Ok(SideBySide {
                 carrier,
-                grid: Grid::new(carrier, sea.as_ref(), *duration, *drag, longest)?,
+                grid: Grid::new(carrier, sea.as_ref(), *duration, *drag, (longest, parts))?,
                 problem,
                 start: carrier.start(problem)?,
                 tolerance: steps_per_tide.is_none().then_some((solver.rtol, solver.atol)),
@@ -297,11 +296,6 @@ impl<'a> Ensemble<'a> {
                 ));
             }
         };
-        let mut marked = Vec::new();
-        if let (Winds::Branched { generator, steps, .. }, Some(shared)) = (winds, &side_by_side) {
-            let before = |step: &usize| shared.grid.step_before(generator.time(*step));
-            marked.extend(steps.iter().map(before));
-        }
         let (maps, targets) = (None, &[][..]);
         Ok(Self {
             scenario,
@@ -314,7 +308,6 @@ impl<'a> Ensemble<'a> {
             end,
             sampling,
             side_by_side,
-            marked,
         })
     }
 
@@ -355,16 +348,19 @@ impl<'a> Ensemble<'a> {
         members.map(|index| self.alone(index)).collect()
     }
 
-    /// A member's logbook, from a time on.
-    fn log(&self, member: u64, from: f64) -> Logbook<'a> {
-        let watch = Watch {
+    fn watch(&self, member: u64) -> Watch<'a> {
+        Watch {
             coast: self.scenario.coast.as_ref(),
             targets: self.targets,
             period: self.scenario.sea.period(),
             outputs: if member < self.keep { self.times } else { &[] },
             samples: self.maps.map_or(&[], |maps| maps.grid().samples()),
-        };
-        Logbook::from_release(watch, from)
+        }
+    }
+
+    /// A member's logbook, from a time on.
+    fn log(&self, member: u64, from: f64) -> Logbook<'a> {
+        Logbook::from_release(self.watch(member), from)
     }
 
     /// The particle of an index, if members are particles.
@@ -377,12 +373,32 @@ impl<'a> Ensemble<'a> {
 
     /// Follows one member by the adaptive integrator.
     fn alone(&self, index: u64) -> Member {
-        match self.winds.path(index, self.end, self.sampling) {
-            Ok(path) => member(self.log(index, 0.0), |on_piece| {
-                self.solver.follow(self.scenario.problem(&path), on_piece)
-            }),
-            Err(error) => self.log(index, 0.0).close(Err(error)),
+        let path = match self.winds.path(index, self.end, self.sampling) {
+            Ok(path) => path,
+            Err(error) => return self.log(index, 0.0).close(Err(error)),
+        };
+        let follow = |log| {
+            member(log, |on_piece| self.solver.follow(self.scenario.problem(&path), on_piece))
+        };
+        let Winds::Branched { generator, parts, .. } = self.winds else {
+            return follow(self.log(index, 0.0));
+        };
+        let Scenario { duration, .. } = self.scenario;
+        let ends: Vec<f64> = (1..=*parts).map(|k| duration * (k as f64 / *parts as f64)).collect();
+        // Nobody maps particles: their track is what is seen of them.
+        let watch = Watch { samples: &ends, ..self.watch(index) };
+        let mut particle = follow(Logbook::new(watch));
+        let before = path.integral(0.0);
+        let drawn = |t: f64| path.velocity(generator.drawn_until(t));
+        let seen = (std::mem::take(&mut particle.track).into_iter().zip(&ends))
+            .map(|(x, t)| [x, path.integral(*t) - before, drawn(*t)])
+            .collect();
+        // What it was followed side by side with others before counts as a whole run.
+        let share = if self.side_by_side.is_some() { 2.0 } else { 1.0 };
+        if let Some(of) = self.particle(index) {
+            of.leave(Trail { seen, share, ..Trail::default() });
         }
+        particle
     }
 
     /// The winds of the members of one group; those before the first count as absent.
@@ -438,14 +454,21 @@ impl<'a> Ensemble<'a> {
         let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| {
             self.log(index(place), starts[place].map_or(0.0, |start| start.time))
         });
-        let mut snapshots: [Vec<Arc<Snapshot>>; WIDTH] = Default::default();
         let Scenario { sea, coast, .. } = self.scenario;
         let bounded = coast.is_some() || !self.targets.is_empty();
         let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
             return members.map(|index| self.alone(index)).collect();
         };
-        let branched = matches!(self.winds, Winds::Branched { .. });
-        let watched = bounded || members.start < self.keep || self.maps.is_some() || branched;
+        // Steps of a part of the run; none where nobody is branched.
+        let part = match self.winds {
+            Winds::Branched { parts, .. } => Some(shared.grid.steps() / parts),
+            _ => None,
+        };
+        let mut trails: [Trail; WIDTH] = std::array::from_fn(|place| {
+            let begun = starts[place].map_or(0, |start| start.step);
+            Trail::of(part.map_or(0, |part| (shared.grid.steps() - begun) / part))
+        });
+        let watched = bounded || members.start < self.keep || self.maps.is_some() || part.is_some();
         let together = if watched { 1 } else { UNWATCHED_STEPS };
         let mut n = 0;
         if adrift == [false; WIDTH]
@@ -460,10 +483,6 @@ impl<'a> Ensemble<'a> {
                     adrift[place] = wind.join(place, &start.wind);
                     alone[place] = !adrift[place];
                     state.put(place, start.body);
-                } else if adrift[place] && self.marked.contains(&n) {
-                    let (time, body) = (shared.grid.span(n).0, state.place(place));
-                    let snapshot = |wind| Arc::new(Snapshot { step: n, time, body, wind });
-                    snapshots[place].extend(wind.mark(place).map(snapshot));
                 }
             }
             let steps = n..(n + together).min(shared.grid.steps());
@@ -505,12 +524,25 @@ impl<'a> Ensemble<'a> {
                 break;
             }
             wind.go_on(stepped.wind);
+            if part.is_some_and(|part| n.is_multiple_of(part)) {
+                let seen = wind.seen(t1, shared.problem.drag, state.p);
+                for (place, trail) in trails.iter_mut().enumerate().filter(|(k, _)| adrift[*k]) {
+                    trail.seen.push(seen.map(|of| lane(&of, place)));
+                    let body = state.place(place);
+                    let snapshot = |wind| Snapshot { step: n, time: t1, body, wind };
+                    if n < shared.grid.steps() {
+                        trail.snapshots.extend(wind.mark(place).map(snapshot));
+                    }
+                }
+            }
         }
-        for (place, snapshots) in snapshots.into_iter().enumerate() {
-            if let Some(particle) = particles[place] {
-                let whole = shared.grid.steps() as f64;
-                let begun = starts[place].map_or(0, |start| start.step) as f64;
-                particle.leave(snapshots, 1.0 - begun / whole + f64::from(alone[place]));
+        let whole = shared.grid.steps();
+        let along = part.unwrap_or(whole);
+        for (place, trail) in trails.into_iter().enumerate() {
+            if let Some(particle) = particles[place].filter(|_| !alone[place]) {
+                let begun = starts[place].map_or(0, |start| start.step);
+                let share = (whole - begun) as f64 / whole as f64;
+                particle.leave(Trail { first: begun / along, share, ..trail });
             }
         }
         (0..WIDTH)

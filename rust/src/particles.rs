@@ -1,6 +1,8 @@
 //! Members that may be branched, and what is kept of them for branches to go on from.
+//!
+//! Their run has parts of equal length, about a tide each, and they may be branched between them.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::OnceLock;
 
 use crate::error::DriftError;
 use crate::field::Vec2;
@@ -8,7 +10,7 @@ use crate::wind::Lineage;
 use crate::wind::lanes::LaneMark;
 
 /// A member at a step of the common grid.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Snapshot {
     /// The step that it is about to take, and its time.
     pub(crate) step: usize,
@@ -18,11 +20,28 @@ pub(crate) struct Snapshot {
     pub(crate) wind: LaneMark,
 }
 
-/// What following a particle left behind.
-#[derive(Debug)]
-struct Trail {
-    snapshots: Vec<Arc<Snapshot>>,
-    share: f64,
+/// Where a member is at the end of a part: its position (without the tidal oscillation, where the
+/// model is an expansion and the member was not followed alone), `∫W`, and the wind at the last
+/// synoptic step drawn.
+pub type Seen = [Vec2; 3];
+
+/// What following a particle leaves behind.
+#[derive(Debug, Default)]
+pub(crate) struct Trail {
+    pub(crate) snapshots: Vec<Snapshot>,
+    /// At the ends of the parts it was adrift at, from the place of the first of them on.
+    pub(crate) seen: Vec<Seen>,
+    pub(crate) first: usize,
+    /// Steps it was followed for, as a share of those of a whole run.
+    pub(crate) share: f64,
+}
+
+impl Trail {
+    /// Nothing yet, with room for that many parts.
+    pub(crate) fn of(parts: usize) -> Self {
+        let (snapshots, seen) = (Vec::with_capacity(parts), Vec::with_capacity(parts));
+        Self { snapshots, seen, ..Self::default() }
+    }
 }
 
 /// A member that may be branched. A branch has its parent's past: the random numbers up to a
@@ -31,7 +50,7 @@ struct Trail {
 #[derive(Debug)]
 pub struct Particle {
     lineage: Lineage,
-    start: Option<Arc<Snapshot>>,
+    start: Option<Box<Snapshot>>,
     trail: OnceLock<Trail>,
 }
 
@@ -51,9 +70,9 @@ impl Particle {
         }
         lineage.branches.push((step, member));
         let passed = self.trail.get().map_or(&[][..], |trail| &trail.snapshots);
-        let start = (self.start.iter().chain(passed).rev())
+        let start = (self.start.as_deref().into_iter().chain(passed).rev())
             .find(|snapshot| snapshot.wind.known() <= step)
-            .cloned();
+            .map(|snapshot| Box::new(snapshot.clone()));
         Ok(Self { lineage, start, trail: OnceLock::new() })
     }
 
@@ -68,12 +87,17 @@ impl Particle {
     }
 
     /// Keeps what following it left behind; a second time leaves the same.
-    pub(crate) fn leave(&self, snapshots: Vec<Arc<Snapshot>>, share: f64) {
-        self.trail.get_or_init(|| Trail { snapshots, share });
+    pub(crate) fn leave(&self, trail: Trail) {
+        self.trail.get_or_init(|| trail);
     }
 
     /// Steps that it was followed for, as a share of those of a whole run.
     pub fn share(&self) -> f64 {
         self.trail.get().map_or(1.0, |trail| trail.share)
+    }
+
+    /// Where it was at the ends of parts, from the place of the first of them on.
+    pub fn seen(&self) -> (usize, &[Seen]) {
+        self.trail.get().map_or((0, &[]), |trail| (trail.first, &trail.seen))
     }
 }

@@ -353,20 +353,23 @@ impl WindGenerator {
     }
 }
 
-/// Members that may be branched, and the synoptic steps at which they may.
+/// Members that may be branched, and the parts of a run that they may be branched between.
 #[pyclass(frozen)]
 struct Particles {
     particles: Vec<Arc<Particle>>,
-    steps: Vec<usize>,
+    parts: usize,
 }
 
 #[pymethods]
 impl Particles {
     #[new]
-    fn new(members: PyReadonlyArray1<u64>, steps: PyReadonlyArray1<i64>) -> PyResult<Self> {
+    fn new(members: PyReadonlyArray1<u64>, parts: usize) -> PyResult<Self> {
+        if parts == 0 {
+            return Err(DriftError::invalid("parts", parts, "there must be one at least").into());
+        }
         let particles =
             members.as_array().iter().map(|member| Arc::new((*member).into())).collect();
-        Ok(Self { particles, steps: indices("steps", &steps)? })
+        Ok(Self { particles, parts })
     }
 
     /// Branches of particles: each takes the random numbers of a member from a synoptic step on.
@@ -387,7 +390,7 @@ impl Particles {
                 Ok(Arc::new(self.particle(*parent)?.branched(step, *member)?))
             })
             .collect::<Result<_, DriftError>>()?;
-        Ok(Self { particles, steps: self.steps.clone() })
+        Ok(Self { particles, parts: self.parts })
     }
 
     /// The same with others at some places.
@@ -398,7 +401,26 @@ impl Particles {
             self.particle(*place)?;
             particles[*place] = others.particle(k)?.clone();
         }
-        Ok(Self { particles, steps: self.steps.clone() })
+        Ok(Self { particles, parts: self.parts })
+    }
+
+    /// Position, `∫W` and wind at the end of each part they were followed in and adrift at, NaN
+    /// elsewhere: shape (parts, particles, 6).
+    fn seen<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let (parts, count) = (self.parts, self.particles.len());
+        let size = product("parts", &[parts, count, 6])?;
+        let mut values = room("parts", size)?;
+        values.resize(size, f64::NAN);
+        for (place, particle) in self.particles.iter().enumerate() {
+            let (first, seen) = particle.seen();
+            for (part, seen) in (first..parts).zip(seen) {
+                let row = 6 * (part * count + place);
+                for (k, of) in seen.iter().enumerate() {
+                    values[row + 2 * k..row + 2 * k + 2].copy_from_slice(of.as_slice());
+                }
+            }
+        }
+        values.into_pyarray(py).reshape([parts, count, 6])
     }
 
     /// Steps that they were followed for, in whole runs.
@@ -1000,7 +1022,7 @@ impl GivenWinds {
                 generator: &generator.get().0,
                 seed: *seed,
                 particles: &particles.get().particles,
-                steps: &particles.get().steps,
+                parts: particles.get().parts,
             },
             Self::One(_) | Self::Paths(_) => Winds::Given(paths),
             Self::InMemory(paths) => Winds::InMemory(&paths.get().0),

@@ -108,15 +108,17 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// As many equal steps as bring them to `longest` tide periods or below.
+    /// As many equal steps as bring them to `longest` tide periods or below, and as many in each of
+    /// some `parts` of the run.
     pub fn new(
         carrier: Carrier,
         sea: &dyn SeaField,
         duration: f64,
         drag: f64,
-        longest: f64,
+        (longest, parts): (f64, usize),
     ) -> Result<Self, DriftError> {
-        let steps = (duration / (longest * sea.period()) - 1e-9).ceil().max(1.0);
+        let parts = parts as f64;
+        let steps = (duration / (parts * longest * sea.period()) - 1e-9).ceil().max(1.0) * parts;
         if steps.is_nan() || steps > MOST_STEPS {
             return Err(DriftError::invalid(
                 "steps_per_tide",
@@ -148,11 +150,6 @@ impl Grid {
     /// Number of steps.
     pub fn steps(&self) -> usize {
         self.steps
-    }
-
-    /// The last step that begins at `t` or before.
-    pub fn step_before(&self, t: f64) -> usize {
-        ((t / self.h + 1e-10) as usize).min(self.steps - 1)
     }
 
     /// Start and end of step `n`.
@@ -387,8 +384,10 @@ impl<F: StageField> StepKernel<'_, F> {
         for (step, n) in steps.clone().enumerate() {
             let times = stage_times(n as f64 * h, h);
             let p = state.p;
-            let blown = (*bounded && n + 1 == steps.end)
-                .then(|| (walk.integral(times[0]), walk.double_integral(times[0], drag, p)));
+            let mut blown = None;
+            if *bounded && n + 1 == steps.end {
+                blown = Some((walk.integral(times[0]), walk.double_integral(times[0], drag, p)));
+            }
             // The position of each stage but for its slopes.
             let mut forced = [p; 5];
             for (forced, t) in forced.iter_mut().zip(&times[1..]) {
@@ -425,22 +424,23 @@ impl<F: StageField> StepKernel<'_, F> {
                     state.excess_error = state.excess_error.max(error - allowed);
                 }
             }
-            reach = blown.map(|(single, center)| {
+            // A closure would not be compiled for the processor's own instructions.
+            if let Some((single, center)) = blown {
                 let (mut distance, mut speed) = (Lanes::ZERO, Lanes::ZERO);
                 for power in 0..4 {
                     let weights = D.map(|weights| weights[power]);
-                    let [x, y] = [0, 1].map(|c| weighted(&weights, k, h, c, Lanes::ZERO).abs());
-                    let size = x + y;
+                    let size = weighted(&weights, k, h, 0, Lanes::ZERO).abs()
+                        + weighted(&weights, k, h, 1, Lanes::ZERO).abs();
                     distance += size;
                     speed += size * ((power + 1) as f64 / h);
                 }
                 let blown = single[0].abs() + single[1].abs() + wind.max_speed(times[5]) * h;
-                LaneReach {
+                reach = Some(LaneReach {
                     center,
                     radius: distance + blown * (h * drag),
                     speed: speed + blown * drag,
-                }
-            });
+                });
+            }
             state.p = end;
         }
         Stepped { wind: walk.end(), reach }

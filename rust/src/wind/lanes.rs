@@ -2,11 +2,13 @@
 //! of all of them needs: equations.md (21), summed from knot to knot.
 
 use super::bootstrap::Scratch;
+use smallvec::SmallVec;
+
 use super::path::{WindPath, require_cover};
 use super::{Mark, MemberWind, Sampling, WindGenerator};
 use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
-use crate::lanes::{LaneVec2, Lanes, WIDTH, lane, set_lane};
+use crate::lanes::{Kernel, LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
 
 /// Winds of an ensemble in memory, on common regular knots, [`WIDTH`] members to a block.
 #[derive(Debug, Clone)]
@@ -129,8 +131,8 @@ pub(crate) struct LaneMark {
     knot: usize,
     sums: [Vec2; 2],
     /// Wind and excess at the knots drawn from there on.
-    velocity: Vec<Vec2>,
-    excess: Vec<Vec2>,
+    velocity: SmallVec<[Vec2; 2]>,
+    excess: SmallVec<[Vec2; 1]>,
     member: Mark,
     /// Synoptic step up to which it is drawn.
     known: usize,
@@ -229,18 +231,20 @@ impl<'a> LaneWind<'a> {
         let Source::Drawn { generator, members, velocity, excess, .. } = &self.source else {
             return None;
         };
-        let of = |knots: &[LaneVec2]| {
-            knots.get(self.base..).unwrap_or(&[]).iter().map(|w| lane(w, place)).collect()
-        };
         let member = members.get(place)?;
         Some(LaneMark {
             knot: self.dropped + self.base,
             sums: self.sums.map(|sum| lane(&sum, place)),
-            velocity: of(velocity),
-            excess: of(excess),
+            velocity: velocity.iter().skip(self.base).map(|w| lane(w, place)).collect(),
+            excess: excess.iter().skip(self.base).map(|w| lane(w, place)).collect(),
             known: member.drawn().saturating_sub(generator.lead_in()),
             member: member.mark(),
         })
+    }
+
+    /// `onto + factor·∬W` and `∫W` at time `t`, which all have come to, and the last wind drawn.
+    pub(crate) fn seen(&self, t: f64, factor: f64, onto: LaneVec2) -> [LaneVec2; 3] {
+        dispatch(SeenKernel { wind: self.view(), t, factor, onto })
     }
 
     /// Begins where a member is that is to join, and not at the release.
@@ -264,7 +268,7 @@ impl<'a> LaneWind<'a> {
         {
             return false;
         }
-        for (knots, of) in [(velocity, &mark.velocity), (excess, &mark.excess)] {
+        for (knots, of) in [(velocity, &mark.velocity[..]), (excess, &mark.excess[..])] {
             for (knot, value) in knots.iter_mut().skip(self.base).zip(of) {
                 set_lane(knot, place, *value);
             }
@@ -364,6 +368,25 @@ impl<'a> LaneWind<'a> {
             of(view.excess, last),
             [single * view.spacing, double * (view.spacing * view.spacing)],
         )
+    }
+}
+
+struct SeenKernel<'a> {
+    wind: WindView<'a>,
+    t: f64,
+    factor: f64,
+    onto: LaneVec2,
+}
+
+impl Kernel for SeenKernel<'_> {
+    type Output = [LaneVec2; 3];
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { wind, t, factor, onto } = self;
+        let mut walk = wind.walk();
+        let single = walk.integral(t);
+        let last = wind.velocity[wind.velocity.len() - 1];
+        [walk.double_integral(t, factor, onto), single, last]
     }
 }
 

@@ -335,9 +335,9 @@ impl WindGenerator {
         self.lead_in
     }
 
-    /// Time of a synoptic step.
-    pub(crate) fn time(&self, step: usize) -> f64 {
-        step as f64 * self.step
+    /// Time up to which the wind is drawn where it is needed up to `t`.
+    pub(crate) fn drawn_until(&self, t: f64) -> f64 {
+        (t / self.step - 1e-9).ceil() * self.step
     }
 
     /// Spacing of a path's knots, and how many of them one synoptic step holds.
