@@ -1,10 +1,10 @@
 """Probabilities of rare events by multilevel splitting: docs/equations.md (52)–(54).
 
 Winds are drawn one synoptic step after the other, so that a run may be *branched*: the branch keeps
-its wind up to a step and draws new numbers after it. Members that come nearer to the event than the
-others are branched, those that do not are given up; each level so passed multiplies the estimate by
-the share that passed it. Whatever levels and importance are chosen, the estimate is unbiased; they
-decide how far it spreads.
+its wind up to a step and draws new numbers after it; it is followed from there on. Members that
+come nearer to the event than the others are branched, those that do not are given up; each level so
+passed multiplies the estimate by the share that passed it. Whatever levels and importance are
+chosen, the estimate is unbiased; they decide how far it spreads.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,13 +37,13 @@ _PASSING = 0.2
 _MOST_LEVELS = 100
 # The default importance forecasts to so many later times; it is learned from no fewer members than
 # these, and sees a circle with so many corners.
-_HORIZONS = 3
+_HORIZONS = 5
 _LEAST_LEARNED = 50
 _CORNERS = 16
 # With fewer the interval of Student's t is too wide to be of use.
 _LEAST_REPLICATES = 5
 _LEAST_PARTICLES = 20
-# The pilot run has the members of a quarter of the replicates, but these at least.
+# The pilot run has the members of a tenth of the replicates, but these at least.
 _LEAST_PILOT = 500
 _LEAST_PARTS = 2
 # Members followed at once, about: what is kept of them to be branched from takes some 12 kB each.
@@ -66,8 +66,11 @@ class RareProbability:
         Values of the importance at which members were branched.
     conditional : ndarray of shape (levels + 1,)
         Share of the members, of all replicates, that passed each level, and at last the event.
-    followed : int
-        Members followed, each from its release on, those of the pilot run included.
+    followed : float
+        What was followed, in whole runs: each member counts with the share of the steps of a run
+        from where it began (at its release, or as a branch) to the end, whether it strands before
+        or not; two runs where one of the steps that members share was not exact enough. The pilot
+        run is included.
     level : float
         Confidence level of the interval.
     """
@@ -78,7 +81,7 @@ class RareProbability:
     replicates: Floats
     levels: Floats
     conditional: Floats
-    followed: int
+    followed: float
     level: float = 0.95
 
     @cached_property
@@ -127,7 +130,8 @@ def rare_probability(
         Of the times [scenario time], shape (times,), and the positions then, shape (members, times,
         2), NaN once stranded: how near to the event each member is then, shape (members, times).
         Only the order of its values matters. Default: how likely about the event is from there
-        on, as a pilot run of other members taught (docs/equations.md (53)).
+        on, as a pilot run of other members taught (docs/equations.md (53)); it costs less than one
+        that is given, which takes the positions to be written down.
     levels : sequence of float, optional
         Increasing values of the importance at which members are branched. Default: chosen by the
         pilot run so that a fifth passes each.
@@ -182,7 +186,7 @@ def rare_probability(
     splitting = _Splitting(scenario, wind, solver, seed, area, importance, threads)
     pilot = None
     if levels is None or importance is None:
-        pilot = _Swarm(splitting, max(_LEAST_PILOT, particles * replicates // 4), 1)
+        pilot = _Swarm(splitting, max(_LEAST_PILOT, particles * replicates // 10), 1)
     if levels is None:
         assert pilot is not None  # noqa: S101 (for the type checker)
         thresholds = splitting.choose_levels(pilot)
@@ -440,27 +444,15 @@ def _area_of(event: str | ArrayLike | Polygons) -> Polygons | None:
 
 
 class _Forecast(NamedTuple):
-    """Forecast of where members will be, in coordinates in which its error has variance 1."""
+    """Where members will be at a later time, in coordinates in which the error has variance 1."""
 
-    weights: Floats
+    weights: NDArray[Any]
     area: _core.Coast
-    # Everything is farther from the area than from a ball: one around it, or within a coast.
-    center: Floats
+    # A ball around the area, or one that the coast encloses.
+    center: NDArray[Any]
     radius: float
-    inside: bool
+    # What is less likely in an area smaller than the spread.
     missing: float
-
-    def scores(self, known: Floats, least: float) -> Floats:
-        """Logarithms of about the probability in the area; what is below `least` may be -inf."""
-        places = known @ self.weights
-        apart = np.hypot(*(places - self.center).T) - self.radius
-        near = np.flatnonzero(self._score(-apart if self.inside else apart) >= least)
-        scores = np.full(len(known), -np.inf)
-        scores[near] = self._score(self.area.clearances(places[near]))
-        return scores
-
-    def _score(self, distance: Floats) -> Floats:
-        return np.asarray(-distance * abs(distance) / 2 - self.missing)
 
 
 class _Approach:
@@ -473,40 +465,57 @@ class _Approach:
 
     def __init__(self, area: Circle | Polygons, inside: bool, seen: Floats) -> None:
         """`seen` is of the plain run, shape (parts, members, 6), NaN once stranded."""
-        self.forecasts: list[list[_Forecast]] = []
-        rings = [_ring(area)] if isinstance(area, Circle) else [np.array(r) for r in area.rings]
+        self.inside = inside
+        self.rings = (
+            [_ring(area)] if isinstance(area, Circle) else [np.array(r) for r in area.rings]
+        )
         last = len(seen) - 1
+        self.forecasts: list[list[_Forecast]] = []
         for k in range(last):
-            later = np.linspace(k, last, _HORIZONS + 1).round().astype(int)
-            self.forecasts.append([])
-            for j in np.unique(later[later > k]):
-                adrift = np.isfinite(seen[[k, j], :, 0]).all(axis=0)
-                known, then = _regressors(seen[k, adrift]), seen[j, adrift, :2]
-                if len(known) < _LEAST_LEARNED:
-                    continue
-                weights = np.linalg.lstsq(known, then, rcond=None)[0]
-                missed = then - known @ weights
-                whiten = np.linalg.inv(np.linalg.cholesky(missed.T @ missed / len(known))).T
-                around = [np.ascontiguousarray(ring @ whiten) for ring in rings]
-                # Less is met of an area smaller than the spread; beyond a coast there is no end.
-                size = math.inf if inside else sum(map(_enclosed, around)) / math.pi
-                coast, corners = _core.Coast.polygons(around, inside), np.concatenate(around)
-                center = corners.mean(axis=0)
-                radius = (
-                    coast.clearance(*center) if inside else np.hypot(*(corners - center).T).max()
-                )
-                self.forecasts[k].append(
-                    _Forecast(weights @ whiten, coast, center, radius, inside, math.log1p(2 / size))
-                )
+            later = np.unique(np.linspace(k, last, _HORIZONS + 1).round().astype(int))
+            learned = [self._learned(seen[k], seen[j]) for j in later[later > k]]
+            self.forecasts.append([forecast for forecast in learned if forecast is not None])
+
+    def _learned(self, now: Floats, then: Floats) -> _Forecast | None:
+        adrift = np.isfinite(now[:, 0]) & np.isfinite(then[:, 0])
+        known, then = _regressors(now[adrift]), then[adrift, :2]
+        if len(known) < _LEAST_LEARNED:
+            return None
+        weights = np.linalg.lstsq(known, then, rcond=None)[0]
+        missed = then - known @ weights
+        whiten = np.linalg.inv(np.linalg.cholesky(missed.T @ missed / len(known))).T
+        weights = weights @ whiten
+        rings = [np.ascontiguousarray(ring @ whiten) for ring in self.rings]
+        area, corners = _core.Coast.polygons(rings, self.inside), np.concatenate(rings)
+        center = corners.mean(axis=0)
+        if self.inside:  # beyond a coast there is no end
+            return _Forecast(weights, area, center, area.clearance(*center), 0.0)
+        radius = float(np.hypot(*(corners - center).T).max())
+        size = sum(map(_enclosed, rings)) / math.pi
+        return _Forecast(weights, area, center, radius, math.log1p(2 / size))
 
     def look(self, seen: Floats, past: _Past, least: float) -> None:
-        """Give the scores of the times that are not known yet; below `least` they do not matter."""
+        """Give the scores of the times not known yet; those below `least` may be left at -inf."""
         for k, forecasts in enumerate(self.forecasts):
             who = np.flatnonzero((past.known <= k) & np.isfinite(seen[k, :, 0]))
-            known = _regressors(seen[k, who])
-            for forecast in forecasts:
-                scores = np.maximum(past.scores[who, k], forecast.scores(known, least))
-                past.scores[who, k] = scores
+            if not (len(who) and forecasts):
+                continue
+            weights, areas, centers, radii, missing = zip(*forecasts, strict=True)
+            places = _regressors(seen[k, who]) @ np.hstack(weights)
+            places = places.reshape(len(who), len(forecasts), 2)
+            apart = np.hypot(*np.moveaxis(places - np.array(centers), 2, 0)) - radii
+            # Nearer to the area than to the ball nobody is.
+            bound = _log_probability(-apart if self.inside else apart) - missing
+            for j, area in enumerate(areas):
+                near = np.flatnonzero(bound[:, j] >= least)
+                distance = area.clearances(np.ascontiguousarray(places[near, j]))
+                score = _log_probability(distance) - missing[j]
+                past.scores[who[near], k] = np.maximum(past.scores[who[near], k], score)
+
+
+def _log_probability(distance: Floats) -> Floats:
+    """Of a Gaussian beyond a line, about."""
+    return np.asarray(-distance * abs(distance) / 2)
 
 
 def _regressors(seen: Floats) -> Floats:
