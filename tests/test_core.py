@@ -49,7 +49,7 @@ def test_a_slow_start_that_does_not_converge_is_an_error() -> None:
         dc.trajectory(scenario, calm, model="mean-flow", order=1, times=np.array([0.0, 1.0]))
 
 
-@pytest.mark.parametrize("given", ["one by one", "on common knots", "by lineages", "in space"])
+@pytest.mark.parametrize("given", ["one by one", "on common knots", "of particles", "in space"])
 @pytest.mark.parametrize("first", [3, 8, 2**34])
 def test_each_member_has_a_wind(
     given: str, first: int, embedded_wind: dc.LocalGridBootstrap
@@ -58,14 +58,13 @@ def test_each_member_has_a_wind(
     case = dc.paper.scenario()
     _, solver = solver_of(case, "mean-flow", None, None, True, "B", 1e-6, None)
     calm = _core.WindPath(np.array([-1.0, 2.0]), np.zeros((2, 2)))
-    nobody = np.full((5, 1), 7, dtype=np.uint64)
     line = (0.0, 1.0, 1)
     winds: Any = {
         "one by one": [calm] * 5,
         "on common knots": _core.WindPaths(-1.0, 0.1, np.zeros((5, 31, 2))),
-        "by lineages": (
+        "of particles": (
             *Resampled(case, embedded_wind, solver, 1).core,
-            _core.Lineages(np.zeros((5, 1), dtype=np.int64), nobody),
+            _core.Particles(np.full(5, 7, dtype=np.uint64), 1),
         ),
         "in space": _core.FieldWinds(
             [line, line], np.ones((1, 1, 1, 2)), (0.0, 1.0), 0, np.zeros((5, 2, 1))
@@ -84,11 +83,15 @@ def test_each_member_has_a_wind(
                 core.run(winds, solver, start, np.zeros(0), 0, fates, 1, [])
 
 
-def test_no_lineage_has_members_beyond_their_numbers() -> None:
+def test_no_particle_has_members_beyond_their_numbers() -> None:
     """Their random streams would be those of others."""
-    for row in ([2**62, 0], [0, 2**62]):
-        with pytest.raises(ValueError, match=r"member: 4611686018427387904 is .* to 2⁶²"):
-            _core.Lineages(np.array([[0, 5]]), np.array([row], dtype=np.uint64))
+    beyond = np.array([2**62], dtype=np.uint64)
+    told = r"member: 4611686018427387904 is .* to 2⁶²"
+    with pytest.raises(ValueError, match=told):
+        _core.Particles(beyond, 1)
+    particles = _core.Particles(np.array([3], dtype=np.uint64), 1)
+    with pytest.raises(ValueError, match=told):
+        particles.branched(np.array([0]), np.array([5]), beyond)
 
 
 def test_no_sea_changes_faster_than_any_tide() -> None:

@@ -84,8 +84,14 @@ class WindGenerator:
     def path(self, seed: int, member: int, end: float) -> tuple[_Floats, _Floats]: ...
 
 @final
-class Lineages:
-    def __new__(cls, steps: _Integers, members: NDArray[np.uint64]) -> Lineages: ...
+class Particles:
+    def __new__(cls, members: NDArray[np.uint64], parts: int) -> Particles: ...
+    def branched(
+        self, parents: _Integers, steps: _Integers, members: NDArray[np.uint64]
+    ) -> Particles: ...
+    def replaced(self, places: _Integers, others: Particles) -> Particles: ...
+    def seen(self) -> _Floats: ...
+    def followed(self) -> float: ...
 
 @final
 class Sea:
@@ -164,7 +170,7 @@ class Scenario:
     def run(
         self,
         winds: tuple[WindGenerator, int]
-        | tuple[WindGenerator, int, Lineages]
+        | tuple[WindGenerator, int, Particles]
         | list[WindPath]
         | WindPaths,
         solver: Solver,

@@ -1,20 +1,21 @@
 """Probabilities of rare events by multilevel splitting: docs/equations.md (52)–(54).
 
 Winds are drawn one synoptic step after the other, so that a run may be *branched*: the branch keeps
-its wind up to a step and draws new numbers after it. Members that come nearer to the event than the
-others are branched, those that do not are given up; each level so passed multiplies the estimate by
-the share that passed it. Whatever levels and importance are chosen, the estimate is unbiased; they
-decide how far it spreads.
+its wind up to a step and draws new numbers after it; it is followed from there on. Members that
+come nearer to the event than the others are branched, those that do not are given up; each level so
+passed multiplies the estimate by the share that passed it. Whatever levels and importance are
+chosen, the estimate is unbiased; they decide how far it spreads.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,18 +35,19 @@ Importance = Callable[[Floats, Floats], ArrayLike]
 _PASSING = 0.2
 # A pilot run that needs more levels than these comes no nearer: 0.2 to this power is 1e-70.
 _MOST_LEVELS = 100
-# The default importance forecasts from so many times, to so many later times; it is learned from no
-# fewer members than these, and sees a circle with so many corners.
-_LAGS = 3
-_HORIZONS = 3
+# The default importance forecasts to so many later times; it is learned from no fewer members than
+# these, and sees a circle with so many corners.
+_HORIZONS = 5
 _LEAST_LEARNED = 50
 _CORNERS = 16
 # With fewer the interval of Student's t is too wide to be of use.
 _LEAST_REPLICATES = 5
 _LEAST_PARTICLES = 20
-# The pilot run has the members of a quarter of the replicates, but these at least.
+# The pilot run has the members of a tenth of the replicates, but these at least.
 _LEAST_PILOT = 500
-_NO_BRANCH = -1
+_LEAST_PARTS = 2
+# Members followed at once, about: what is kept of them to be branched from takes some 12 kB each.
+_TOGETHER = 2000
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,11 @@ class RareProbability:
         Values of the importance at which members were branched.
     conditional : ndarray of shape (levels + 1,)
         Share of the members, of all replicates, that passed each level, and at last the event.
-    followed : int
-        Members followed, each from its release on, those of the pilot run included.
+    followed : float
+        What was followed, in whole runs: each member counts with the share of the steps of a run
+        from where it began (at its release, or as a branch) to the end, whether it strands before
+        or not; two runs where one of the steps that members share was not exact enough. The pilot
+        run is included.
     level : float
         Confidence level of the interval.
     """
@@ -76,7 +81,7 @@ class RareProbability:
     replicates: Floats
     levels: Floats
     conditional: Floats
-    followed: int
+    followed: float
     level: float = 0.95
 
     @cached_property
@@ -125,7 +130,8 @@ def rare_probability(
         Of the times [scenario time], shape (times,), and the positions then, shape (members, times,
         2), NaN once stranded: how near to the event each member is then, shape (members, times).
         Only the order of its values matters. Default: how likely about the event is from there
-        on, as a pilot run of other members taught (docs/equations.md (53)).
+        on, as a pilot run of other members taught (docs/equations.md (53)); it costs less than one
+        that is given, which takes the positions to be written down.
     levels : sequence of float, optional
         Increasing values of the importance at which members are branched. Default: chosen by the
         pilot run so that a fifth passes each.
@@ -180,7 +186,7 @@ def rare_probability(
     splitting = _Splitting(scenario, wind, solver, seed, area, importance, threads)
     pilot = None
     if levels is None or importance is None:
-        pilot = _Swarm(splitting, max(_LEAST_PILOT, particles * replicates // 4), 1)
+        pilot = _Swarm(splitting, max(_LEAST_PILOT, particles * replicates // 10), 1)
     if levels is None:
         assert pilot is not None  # noqa: S101 (for the type checker)
         thresholds = splitting.choose_levels(pilot)
@@ -225,22 +231,20 @@ class _Splitting:
         self.area = area
         self.areas = [] if area is None else [area_core("event", area.rings)]
         step = wind.record.step_h / scenario.hours_per_unit
-        steps = math.ceil(self.winds.end / step - 1e-9)
-        # At synoptic steps about a tide apart: the wind until then is drawn, that after it is not.
-        # (What is computed of a time depends on later wind by the error of the integration.)
-        stride = max(1, round(scenario.period / step))
-        if steps <= stride:
+        # Members are branched between parts of the run of about a tide. What is known at the end of
+        # one depends on the wind up to the synoptic step after it.
+        self.parts = round(scenario.duration / max(scenario.period, step))
+        if self.parts < _LEAST_PARTS:
             raise ScenarioError(
-                f"scenario.duration: {scenario.duration:g} is not accepted; the run is over before "
-                f"it can be branched, at {stride * step:g}"
+                f"scenario.duration: {scenario.duration:g} is not accepted; a run is branched "
+                f"between parts of {max(scenario.period, step):g}, and has {_LEAST_PARTS} at least"
             )
-        self.branch = np.arange(stride, steps, stride)
-        self.times = self.branch * np.float64(step)
-        self.outputs = np.append(self.times, scenario.duration)
-        # What happens after the last of these times can be branched no more.
-        self.branch = np.append(self.branch, _NO_BRANCH)
-        self.importance = importance
-        self.followed = 0
+        self.ends = scenario.duration * (np.arange(1, self.parts + 1) / self.parts)
+        self.times = self.ends[:-1]
+        self.branch = np.ceil(self.times / step - 1e-9).astype(np.int64)
+        self.importance: Importance | _Approach | None = importance
+        self.named = 0
+        self.followed = 0.0
         self.failure: str | None = None
         self.failed: list[NDArray[np.int8]] = []
 
@@ -250,7 +254,7 @@ class _Splitting:
         rng = self._choices("pilot")
         levels: list[float] = []
         while True:
-            reached = np.sort(swarm.scores.max(axis=1))
+            reached = np.sort(swarm.past.scores.max(axis=1))
             level = float(reached[math.floor((1 - _PASSING) * particles)])
             if level == math.inf:
                 return np.array(levels)
@@ -264,58 +268,80 @@ class _Splitting:
                     "another importance may, or it cannot happen"
                 )
             levels.append(level)
-            swarm.pass_level(level, rng)
+            swarm.pass_level(level, level, rng)
 
     def run(self, levels: Floats, particles: int, replicates: int) -> Floats:
         """Shares that pass each level and the event, shape (replicates, levels + 1)."""
-        swarm = _Swarm(self, particles, replicates)
+        levels = np.append(levels, math.inf)
         rng = self._choices("run")
-        shares = [swarm.pass_level(level, rng) for level in levels]
-        happened = np.isposinf(swarm.scores[:, -1]).reshape(replicates, particles)
-        # A replicate that died out contributes 0 whatever it is counted as after that.
-        return np.column_stack([*shares, happened.mean(axis=1)])
+        together = max(1, _TOGETHER // particles)
+        parts = []
+        for first in range(0, replicates, together):
+            count = min(together, replicates - first)
+            swarm = _Swarm(self, particles, count, levels[0])
+            shares = [swarm.pass_level(*pair, rng) for pair in itertools.pairwise(levels)]
+            happened = np.isposinf(swarm.past.scores[:, -1]).reshape(count, particles)
+            # A replicate that died out contributes 0 whatever it is counted as after that.
+            parts.append(np.column_stack([*shares, happened.mean(axis=1)]))
+        return np.concatenate(parts)
 
-    def follow(self, steps: NDArray[np.int64], members: NDArray[np.uint64]) -> Floats:
-        """Follow lineages; give their scores, shape (lineages, times + 1), the end last.
+    def follow(self, particles: _core.Particles, past: _Past, least: float) -> None:
+        """Follow particles, and write down what comes after their past.
 
-        Infinite from the first time on at which the event has happened.
+        What is scored below `least` may be left at -inf.
         """
-        count = len(steps)
-        fates = Fates.empty(count, count, len(self.outputs), len(self.areas))
-        lineages = _core.Lineages(steps, members)
-        winds = (*self.winds.core, lineages)
+        count = len(past.known)
+        given = self.importance is not None and not isinstance(self.importance, _Approach)
+        fates = Fates.empty(count, count if given else 0, self.parts, len(self.areas))
+        winds = (*self.winds.core, particles)
+        kept = len(fates.position)
         failure = self.compiled.run(
-            winds, self.solver, 0, self.outputs, count, fates, self.threads, self.areas
+            winds, self.solver, 0, self.ends, kept, fates, self.threads, self.areas
         )
         self.failure = self.failure or failure
         self.failed.append(fates.status)
-        self.followed += count
+        self.followed += particles.followed()
         if self.importance is None:
-            self.importance = self._learned(fates.position)
-        positions = fates.position[:, : len(self.times)]
-        scores = np.asarray(self.importance(self.times, positions), dtype=float)
-        if scores.shape != (count, len(self.times)):
-            raise ScenarioError(
-                f"importance: a result of shape {scores.shape} is not accepted; one value for each "
-                f"member and time, {(count, len(self.times))}, is"
-            )
-        scores = np.column_stack([scores, np.full(count, -np.inf)])
-        scores[np.isnan(scores)] = -np.inf
+            self.importance = self._learned(particles.seen())
+        if isinstance(self.importance, _Approach):
+            self.importance.look(particles.seen(), past, least)
+        else:
+            later = np.arange(len(self.times)) >= past.known[:, None]
+            past.positions[later] = fates.position[:, :-1][later]
+            scores = np.asarray(self.importance(self.times, past.positions), dtype=float)
+            if scores.shape != later.shape:
+                raise ScenarioError(
+                    f"importance: a result of shape {scores.shape} is not accepted; one value for "
+                    f"each member and time, {later.shape}, is"
+                )
+            past.scores[:, :-1][later] = np.where(np.isnan(scores), -np.inf, scores)[later]
         happened = fates.entry_time[:, 0] if self.areas else fates.stranding_time
-        known_by = np.append(self.times, np.inf)
-        scores[happened[:, None] <= known_by] = np.inf
-        return scores
+        past.scores[happened[:, None] <= np.append(self.times, np.inf)] = np.inf
 
-    def _learned(self, positions: Floats) -> Importance:
+    def _learned(self, seen: Floats) -> _Approach:
         scenario = self.scenario
         area = self.area or scenario.coast
         assert area is not None  # noqa: S101 (for the type checker: the event has an area)
-        inside = self.area is None and scenario.side == "inside"
-        return _Approach(area, inside, np.array(scenario.position), positions, len(self.times))
+        return _Approach(area, self.area is None and scenario.side == "inside", seen)
+
+    def nothing_known(self, particles: int) -> _Past:
+        """Past of particles at the release."""
+        # Positions are kept where an importance asks for them.
+        times = (
+            0
+            if self.importance is None or isinstance(self.importance, _Approach)
+            else (len(self.times))
+        )
+        return _Past(
+            np.full((particles, times, 2), np.nan),
+            np.full((particles, self.parts), -np.inf),
+            np.zeros(particles, dtype=np.intp),
+        )
 
     def new_members(self, count: int) -> NDArray[np.uint64]:
-        """Members nobody has been yet: as many as were followed before are taken."""
-        return np.arange(self.followed, self.followed + count, dtype=np.uint64)
+        """Members nobody has been yet."""
+        self.named += count
+        return np.arange(self.named - count, self.named, dtype=np.uint64)
 
     def _choices(self, name: str) -> np.random.Generator:
         """Random numbers that choose who is branched."""
@@ -327,18 +353,49 @@ class _Splitting:
         self.winds.warn()
 
 
+@dataclass(frozen=True)
+class _Past:
+    """What is known of particles at the times at which they may be branched.
+
+    `positions`, of shape (particles, times, 2), NaN once stranded (no times where nobody asks), and
+    `scores`, of shape (particles, times + 1), infinite once the event has happened; the last is of
+    the end. Of the first `known` times, shape (particles,), a branch has its parent's.
+    """
+
+    positions: Floats
+    scores: Floats
+    known: NDArray[np.intp]
+
+    def until(self, places: NDArray[np.intp], known: NDArray[np.intp]) -> _Past:
+        """Return what branches of some particles know."""
+        scores = self.scores[places]
+        scores[np.arange(scores.shape[1]) >= known[:, None]] = -np.inf
+        return _Past(self.positions[places], scores, known)
+
+    def put(self, places: NDArray[np.intp], other: _Past) -> None:
+        """Put the past of others to some places."""
+        self.positions[places], self.scores[places] = other.positions, other.scores
+
+
 class _Swarm:
-    """The members of some replicates, as many of each, with their lineages and scores."""
+    """The members of some replicates, as many of each, and what they have come to."""
 
-    def __init__(self, splitting: _Splitting, particles: int, replicates: int) -> None:
+    def __init__(
+        self, splitting: _Splitting, particles: int, replicates: int, least: float = -math.inf
+    ) -> None:
+        """Follow them from the release; scores below `least` do not matter."""
         self.splitting, self.particles, self.replicates = splitting, particles, replicates
-        self.steps = np.zeros((particles * replicates, 1), dtype=np.int64)
-        self.members = splitting.new_members(len(self.steps))[:, None]
-        self.scores = splitting.follow(self.steps, self.members)
+        members = splitting.new_members(particles * replicates)
+        self.members = _core.Particles(members, splitting.parts)
+        self.past = splitting.nothing_known(len(members))
+        splitting.follow(self.members, self.past, least)
 
-    def pass_level(self, level: float, rng: np.random.Generator) -> Floats:
-        """Replace who did not reach the level by branches of who did; give their shares."""
-        reached = (self.scores >= level).reshape(self.replicates, self.particles, -1)
+    def pass_level(self, level: float, least: float, rng: np.random.Generator) -> Floats:
+        """Replace who did not reach the level by branches of who did; give their shares.
+
+        Scores of the branches below `least` do not matter.
+        """
+        reached = (self.past.scores >= level).reshape(self.replicates, self.particles, -1)
         passed = np.asarray(reached.any(axis=2))
         given_up, parents = [], []
         for replicate in range(self.replicates):
@@ -352,19 +409,26 @@ class _Swarm:
             given_up.append(lost + replicate * self.particles)
             parents.append(shuffled + replicate * self.particles)
         if given_up:
-            self._branch(np.concatenate(given_up), np.concatenate(parents), level)
+            self._branch(np.concatenate(given_up), np.concatenate(parents), level, least)
         return np.asarray(passed.mean(axis=1))
 
-    def _branch(self, given_up: NDArray[np.intp], parents: NDArray[np.intp], level: float) -> None:
-        first = (self.scores[parents] >= level).argmax(axis=1)
-        step = self.splitting.branch[first]
+    def _branch(
+        self, given_up: NDArray[np.intp], parents: NDArray[np.intp], level: float, least: float
+    ) -> None:
+        first = (self.past.scores[parents] >= level).argmax(axis=1)
+        # Those who begin together are followed side by side.
+        order = np.argsort(first, kind="stable")
+        given_up, parents, first = given_up[order], parents[order], first[order]
+        # Whose event has happened by then has no more to come.
+        over = np.isposinf(self.past.scores[parents, first])
+        self.past.scores[given_up[over]] = self.past.scores[parents[over]]
+        given_up, parents, first = given_up[~over], parents[~over], first[~over]
         fresh = self.splitting.new_members(len(given_up))
-        self.steps[given_up], self.members[given_up] = self.steps[parents], self.members[parents]
-        count = len(self.steps)
-        self.steps = np.column_stack([self.steps, np.full(count, _NO_BRANCH)])
-        self.members = np.column_stack([self.members, np.zeros(count, dtype=np.uint64)])
-        self.steps[given_up, -1], self.members[given_up, -1] = step, fresh
-        self.scores[given_up] = self.splitting.follow(self.steps[given_up], self.members[given_up])
+        branches = self.members.branched(parents, self.splitting.branch[first], fresh)
+        past = self.past.until(parents, first + 1)
+        self.splitting.follow(branches, past, least)
+        self.members = self.members.replaced(given_up, branches)
+        self.past.put(given_up, past)
 
 
 def _area_of(event: str | ArrayLike | Polygons) -> Polygons | None:
@@ -379,55 +443,83 @@ def _area_of(event: str | ArrayLike | Polygons) -> Polygons | None:
         raise ScenarioError(str(error)) from None
 
 
+class _Forecast(NamedTuple):
+    """Where members will be at a later time, in coordinates in which the error has variance 1."""
+
+    weights: NDArray[Any]
+    area: _core.Coast
+    # A ball around the area, or one that the coast encloses.
+    center: NDArray[Any]
+    radius: float
+    # What is less likely in an area smaller than the spread.
+    missing: float
+
+
 class _Approach:
     """Importance learned from a plain run: docs/equations.md (53).
 
-    From where a member was at the last three times, a linear regression tells where it will be
-    later, and how far that spreads. The nearest approach is told by the logarithm of about the
-    probability that the Gaussian forecast has in the area.
+    From where a member is, how the wind has blown until then and how it blows, a linear regression
+    tells where it will be later, and how far that spreads. The nearest approach is told by the
+    logarithm of about the probability that the Gaussian forecast has in the area.
     """
 
-    def __init__(
-        self, area: Circle | Polygons, inside: bool, start: Floats, positions: Floats, known: int
-    ) -> None:
-        """`positions` are those of the plain run, of which the members asked of know the first."""
-        self.start = start
-        self.forecasts: list[list[tuple[NDArray[Any], _core.Coast, float]]] = []
-        rings = [_ring(area)] if isinstance(area, Circle) else [np.array(r) for r in area.rings]
-        for k in range(known):
-            later = np.linspace(k, positions.shape[1] - 1, _HORIZONS + 1).round().astype(int)
-            self.forecasts.append([])
-            for j in np.unique(later[later > k]):
-                adrift = np.isfinite(positions[:, [k, j], 0]).all(axis=1)
-                past, then = self._past(positions[adrift], k), positions[adrift, j]
-                if len(past) < _LEAST_LEARNED:
-                    continue
-                weights = np.linalg.lstsq(past, then, rcond=None)[0]
-                missed = then - past @ weights
-                whiten = np.linalg.inv(np.linalg.cholesky(missed.T @ missed / len(past))).T
-                seen = [np.ascontiguousarray(ring @ whiten) for ring in rings]
-                # Less is met of an area smaller than the spread; beyond a coast there is no end.
-                size = math.inf if inside else sum(map(_enclosed, seen)) / math.pi
-                coast = _core.Coast.polygons(seen, inside)
-                self.forecasts[k].append((weights @ whiten, coast, math.log1p(2 / size)))
+    def __init__(self, area: Circle | Polygons, inside: bool, seen: Floats) -> None:
+        """`seen` is of the plain run, shape (parts, members, 6), NaN once stranded."""
+        self.inside = inside
+        self.rings = (
+            [_ring(area)] if isinstance(area, Circle) else [np.array(r) for r in area.rings]
+        )
+        last = len(seen) - 1
+        self.forecasts: list[list[_Forecast]] = []
+        for k in range(last):
+            later = np.unique(np.linspace(k, last, _HORIZONS + 1).round().astype(int))
+            learned = [self._learned(seen[k], seen[j]) for j in later[later > k]]
+            self.forecasts.append([forecast for forecast in learned if forecast is not None])
 
-    def _past(self, positions: Floats, k: int) -> Floats:
-        """Regressors of time `k`, shape (members, 7): before the release everybody is there."""
-        places = [positions[:, k - lag] for lag in range(min(k + 1, _LAGS))]
-        places += [np.broadcast_to(self.start, (len(positions), 2))] * (_LAGS - len(places))
-        return np.column_stack([np.ones(len(positions)), *places])
+    def _learned(self, now: Floats, then: Floats) -> _Forecast | None:
+        adrift = np.isfinite(now[:, 0]) & np.isfinite(then[:, 0])
+        known, then = _regressors(now[adrift]), then[adrift, :2]
+        if len(known) < _LEAST_LEARNED:
+            return None
+        weights = np.linalg.lstsq(known, then, rcond=None)[0]
+        missed = then - known @ weights
+        whiten = np.linalg.inv(np.linalg.cholesky(missed.T @ missed / len(known))).T
+        weights = weights @ whiten
+        rings = [np.ascontiguousarray(ring @ whiten) for ring in self.rings]
+        area, corners = _core.Coast.polygons(rings, self.inside), np.concatenate(rings)
+        center = corners.mean(axis=0)
+        if self.inside:  # beyond a coast there is no end
+            return _Forecast(weights, area, center, area.clearance(*center), 0.0)
+        radius = float(np.hypot(*(corners - center).T).max())
+        size = sum(map(_enclosed, rings)) / math.pi
+        return _Forecast(weights, area, center, radius, math.log1p(2 / size))
 
-    def __call__(self, times: Floats, positions: Floats) -> Floats:
-        del times  # the regressions know theirs
-        scores = np.full(positions.shape[:2], -np.inf)
+    def look(self, seen: Floats, past: _Past, least: float) -> None:
+        """Give the scores of the times not known yet; those below `least` may be left at -inf."""
         for k, forecasts in enumerate(self.forecasts):
-            adrift = np.isfinite(positions[:, k, 0])
-            past = self._past(positions[adrift], k)
-            for weights, coast, missing in forecasts:
-                distance = coast.clearances(past @ weights)
-                score = -distance * abs(distance) / 2 - missing
-                scores[adrift, k] = np.maximum(scores[adrift, k], score)
-        return scores
+            who = np.flatnonzero((past.known <= k) & np.isfinite(seen[k, :, 0]))
+            if not (len(who) and forecasts):
+                continue
+            weights, areas, centers, radii, missing = zip(*forecasts, strict=True)
+            places = _regressors(seen[k, who]) @ np.hstack(weights)
+            places = places.reshape(len(who), len(forecasts), 2)
+            apart = np.hypot(*np.moveaxis(places - np.array(centers), 2, 0)) - radii
+            # Nearer to the area than to the ball nobody is.
+            bound = _log_probability(-apart if self.inside else apart) - missing
+            for j, area in enumerate(areas):
+                near = np.flatnonzero(bound[:, j] >= least)
+                distance = area.clearances(np.ascontiguousarray(places[near, j]))
+                score = _log_probability(distance) - missing[j]
+                past.scores[who[near], k] = np.maximum(past.scores[who[near], k], score)
+
+
+def _log_probability(distance: Floats) -> Floats:
+    """Of a Gaussian beyond a line, about."""
+    return np.asarray(-distance * abs(distance) / 2)
+
+
+def _regressors(seen: Floats) -> Floats:
+    return np.column_stack([np.ones(len(seen)), seen])
 
 
 def _ring(circle: Circle) -> Floats:

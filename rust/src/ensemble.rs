@@ -10,15 +10,16 @@ use crate::coast::Coast;
 use crate::dopri5::Work;
 use crate::error::{DriftError, finite, positive};
 use crate::field::{SeaField, Vec2};
-use crate::lanes::WIDTH;
+use crate::lanes::{WIDTH, lane};
 use crate::logbook::{Logbook, Watch};
 use crate::model::lanes::{Carrier, Grid, State};
 use crate::model::{Model, OnPiece, Problem, Solver};
+use crate::particles::{Particle, Snapshot, Trail};
 use crate::statistics::Maps;
 use crate::wind::fields::FieldWinds;
 use crate::wind::lanes::{LaneWind, WindPaths};
 use crate::wind::path::WindPath;
-use crate::wind::{Lineage, Sampling, Wind, WindGenerator};
+use crate::wind::{Sampling, Wind, WindGenerator};
 
 /// Everything about a scenario but its wind.
 pub struct Scenario {
@@ -162,14 +163,16 @@ pub enum Winds<'a> {
         /// The seed.
         seed: u64,
     },
-    /// Drawn by a generator, one for each lineage.
+    /// Drawn by a generator, one for each particle.
     Branched {
         /// The generator.
         generator: &'a WindGenerator,
         /// The seed.
         seed: u64,
-        /// The lineages.
-        lineages: &'a [Lineage],
+        /// The particles.
+        particles: &'a [Arc<Particle>],
+        /// Parts of the run that they may be branched between.
+        parts: usize,
     },
     /// Given, one for each member.
     Given(&'a [&'a WindPath]),
@@ -184,7 +187,7 @@ impl Winds<'_> {
     pub fn require(&self, members: &Range<u64>) -> Result<(), DriftError> {
         let known = match self {
             Self::Drawn { .. } => 0..u64::MAX,
-            Self::Branched { lineages, .. } => 0..lineages.len() as u64,
+            Self::Branched { particles, .. } => 0..particles.len() as u64,
             Self::Given(paths) => 0..paths.len() as u64,
             Self::InMemory(paths) => 0..paths.members() as u64,
             Self::Fields(winds) => winds.members(),
@@ -223,10 +226,10 @@ impl Winds<'_> {
             Self::Drawn { generator, seed } => {
                 generator.path(*seed, member, end, sampling).map(Cow::Owned)
             }
-            Self::Branched { generator, seed, lineages } => {
-                let lineage = (lineages.get(member as usize))
+            Self::Branched { generator, seed, particles, .. } => {
+                let particle = (particles.get(member as usize))
                     .ok_or_else(|| DriftError::invalid("member", member, "it has no lineage"))?;
-                generator.path(*seed, lineage.clone(), end, sampling).map(Cow::Owned)
+                generator.path(*seed, particle.lineage().clone(), end, sampling).map(Cow::Owned)
             }
             Self::Given(paths) => (paths.get(member as usize).map(|path| Cow::Borrowed(*path)))
                 .ok_or_else(|| DriftError::invalid("member", member, "it has no wind path")),
@@ -293,9 +296,10 @@ impl<'a> Ensemble<'a> {
             }
             let longest = steps_per_tide.map_or(carrier.max_step(), |steps| 1.0 / steps);
             let Scenario { sea, duration, drag, .. } = scenario;
+            let parts = if let Winds::Branched { parts, .. } = winds { *parts } else { 1 };
             Ok(SideBySide {
                 carrier,
-                grid: Grid::new(carrier, sea.as_ref(), *duration, *drag, longest)?,
+                grid: Grid::new(carrier, sea.as_ref(), *duration, *drag, (longest, parts))?,
                 problem,
                 start: carrier.start(problem)?,
                 tolerance: steps_per_tide.is_none().then_some((solver.rtol, solver.atol)),
@@ -367,24 +371,57 @@ impl<'a> Ensemble<'a> {
         members.map(|index| self.alone(index)).collect()
     }
 
-    fn log(&self, member: u64) -> Logbook<'a> {
-        Logbook::new(Watch {
+    fn watch(&self, member: u64) -> Watch<'a> {
+        Watch {
             coast: self.scenario.coast.as_ref(),
             targets: self.targets,
             period: self.scenario.sea.period(),
             outputs: if member < self.keep { self.times } else { &[] },
             samples: self.maps.map_or(&[], |maps| maps.grid().samples()),
-        })
+        }
+    }
+
+    /// A member's logbook, from a time on.
+    fn log(&self, member: u64, from: f64) -> Logbook<'a> {
+        Logbook::from_release(self.watch(member), from)
+    }
+
+    /// The particle of an index, if members are particles.
+    fn particle(&self, index: u64) -> Option<&'a Particle> {
+        match self.winds {
+            Winds::Branched { particles, .. } => particles.get(index as usize).map(Arc::as_ref),
+            _ => None,
+        }
     }
 
     /// Follows one member by the adaptive integrator.
     fn alone(&self, index: u64) -> Member {
-        match self.winds.path(index, self.end, self.sampling) {
-            Ok(path) => member(self.log(index), |on_piece| {
-                self.solver.follow(self.scenario.problem(&path), on_piece)
-            }),
-            Err(error) => self.log(index).close(Err(error)),
+        let path = match self.winds.path(index, self.end, self.sampling) {
+            Ok(path) => path,
+            Err(error) => return self.log(index, 0.0).close(Err(error)),
+        };
+        let follow = |log| {
+            member(log, |on_piece| self.solver.follow(self.scenario.problem(&path), on_piece))
+        };
+        let Winds::Branched { generator, parts, .. } = self.winds else {
+            return follow(self.log(index, 0.0));
+        };
+        let Scenario { duration, .. } = self.scenario;
+        let ends: Vec<f64> = (1..=*parts).map(|k| duration * (k as f64 / *parts as f64)).collect();
+        // Nobody maps particles: their track is what is seen of them.
+        let watch = Watch { samples: &ends, ..self.watch(index) };
+        let mut particle = follow(Logbook::new(watch));
+        let before = path.integral(0.0);
+        let drawn = |t: f64| path.velocity(generator.drawn_until(t));
+        let seen = (std::mem::take(&mut particle.track).into_iter().zip(&ends))
+            .map(|(x, t)| [x, path.integral(*t) - before, drawn(*t)])
+            .collect();
+        // What it was followed side by side with others before counts as a whole run.
+        let share = if self.side_by_side.is_some() { 2.0 } else { 1.0 };
+        if let Some(of) = self.particle(index) {
+            of.leave(Trail { seen, share, ..Trail::default() });
         }
+        particle
     }
 
     /// The winds of the members of one group; those before the first count as absent.
@@ -393,12 +430,20 @@ impl<'a> Ensemble<'a> {
         match self.winds {
             Winds::Drawn { generator, seed } => {
                 generator.steps(self.end, self.sampling)?;
-                LaneWind::drawn(generator, *seed, members, self.sampling)
+                let winds = members.map(|member| generator.member(*seed, member));
+                LaneWind::drawn(generator, winds, self.sampling)
             }
-            Winds::Branched { generator, seed, lineages } => {
+            Winds::Branched { generator, seed, particles, .. } => {
                 generator.steps(self.end, self.sampling)?;
-                let lineages = &lineages[members.start as usize..members.end as usize];
-                LaneWind::drawn(generator, *seed, lineages.iter().cloned(), self.sampling)
+                let range = members.start as usize..members.end as usize;
+                let particles = particles.get(range).unwrap_or_default().iter();
+                let winds = particles.map(|particle| match particle.start() {
+                    Some(start) => {
+                        Ok(generator.resumed(*seed, particle.lineage(), start.wind.member()))
+                    }
+                    None => generator.member(*seed, particle.lineage().clone()),
+                });
+                LaneWind::drawn(generator, winds, self.sampling)
             }
             Winds::InMemory(paths) => {
                 paths.require(0.0, self.end)?;
@@ -411,7 +456,8 @@ impl<'a> Ensemble<'a> {
     }
 
     /// Follows a group side by side. A member whose error is estimated above the tolerance, or who
-    /// leaves the data, is followed alone: that depends on nobody else.
+    /// leaves the data, is followed alone: that depends on nobody else. Branches join where they
+    /// begin.
     fn abreast(&self, shared: &SideBySide, mut wind: LaneWind, members: Range<u64>) -> Vec<Member> {
         // In memory the lanes belong to fixed members, drawn winds begin with the first asked for.
         let first = match self.winds {
@@ -419,19 +465,47 @@ impl<'a> Ensemble<'a> {
             _ => members.start,
         };
         let index = |place: usize| first + place as u64;
+        let here = |place: usize| members.contains(&index(place));
+        let particles: [Option<&Particle>; WIDTH] =
+            std::array::from_fn(|place| self.particle(index(place)).filter(|_| here(place)));
+        let starts = particles.map(|particle| particle.and_then(Particle::start));
         let mut adrift: [bool; WIDTH] =
-            std::array::from_fn(|place| members.contains(&index(place)));
+            std::array::from_fn(|place| here(place) && starts[place].is_none());
         let mut alone = [false; WIDTH];
-        let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| self.log(index(place)));
+        let mut logs: [Logbook; WIDTH] = std::array::from_fn(|place| {
+            self.log(index(place), starts[place].map_or(0.0, |start| start.time))
+        });
         let Scenario { sea, coast, .. } = self.scenario;
         let bounded = coast.is_some() || !self.targets.is_empty();
         let Ok(mut state) = State::new(&shared.grid, &shared.problem, shared.start) else {
             return members.map(|index| self.alone(index)).collect();
         };
-        let watched = bounded || members.start < self.keep || self.maps.is_some();
+        // Steps of a part of the run; none where nobody is branched.
+        let part = match self.winds {
+            Winds::Branched { parts, .. } => Some(shared.grid.steps() / parts),
+            _ => None,
+        };
+        let mut trails: [Trail; WIDTH] = std::array::from_fn(|place| {
+            let begun = starts[place].map_or(0, |start| start.step);
+            Trail::of(part.map_or(0, |part| (shared.grid.steps() - begun) / part))
+        });
+        let watched = bounded || members.start < self.keep || self.maps.is_some() || part.is_some();
         let together = if watched { 1 } else { UNWATCHED_STEPS };
         let mut n = 0;
+        if adrift == [false; WIDTH]
+            && let Some(first) = starts.iter().flatten().min_by_key(|start| start.step)
+        {
+            n = first.step;
+            wind.begin_at(&first.wind);
+        }
         while n < shared.grid.steps() {
+            for (place, start) in starts.iter().enumerate() {
+                if let Some(start) = start.filter(|start| start.step == n) {
+                    adrift[place] = wind.join(place, &start.wind);
+                    alone[place] = !adrift[place];
+                    state.put(place, start.body);
+                }
+            }
             let steps = n..(n + together).min(shared.grid.steps());
             let last = steps.end - 1;
             n = steps.end;
@@ -466,14 +540,35 @@ impl<'a> Ensemble<'a> {
                     _ => (adrift[place], alone[place]) = (false, true),
                 }
             }
-            if adrift == [false; WIDTH] {
+            let awaited = starts.iter().flatten().any(|start| start.step >= n);
+            if adrift == [false; WIDTH] && !awaited {
                 break;
             }
             wind.go_on(stepped.wind);
+            if part.is_some_and(|part| n.is_multiple_of(part)) {
+                let seen = wind.seen(t1, shared.problem.drag, state.p);
+                for (place, trail) in trails.iter_mut().enumerate().filter(|(k, _)| adrift[*k]) {
+                    trail.seen.push(seen.map(|of| lane(&of, place)));
+                    let body = state.place(place);
+                    let snapshot = |wind| Snapshot { step: n, time: t1, body, wind };
+                    if n < shared.grid.steps() {
+                        trail.snapshots.extend(wind.mark(place).map(snapshot));
+                    }
+                }
+            }
+        }
+        let whole = shared.grid.steps();
+        let along = part.unwrap_or(whole);
+        for (place, trail) in trails.into_iter().enumerate() {
+            if let Some(particle) = particles[place].filter(|_| !alone[place]) {
+                let begun = starts[place].map_or(0, |start| start.step);
+                let share = (whole - begun) as f64 / whole as f64;
+                particle.leave(Trail { first: begun / along, share, ..trail });
+            }
         }
         (0..WIDTH)
             .zip(logs)
-            .filter(|(place, _)| members.contains(&index(*place)))
+            .filter(|(place, _)| here(*place))
             .map(
                 |(place, log)| {
                     if alone[place] { self.alone(index(place)) } else { log.close(Ok(())) }

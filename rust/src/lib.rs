@@ -34,6 +34,7 @@ pub mod geometry;
 pub mod lanes;
 pub mod logbook;
 pub mod model;
+pub mod particles;
 #[cfg(feature = "python")]
 mod python;
 pub mod statistics;

@@ -24,6 +24,7 @@ use crate::fleet::{Fleet as CoreFleet, Watched};
 use crate::geometry::Geometry;
 use crate::model::body::{Body, Line, Release};
 use crate::model::{Formulation, Model, Solver as CoreSolver};
+use crate::particles::Particle;
 use crate::statistics::{Cells, MapGrid, Maps as CoreMaps};
 use crate::wind::bootstrap::{Bootstrap as CoreBootstrap, Catalogue};
 use crate::wind::fields::{FieldWinds as CoreFieldWinds, WindPatterns};
@@ -352,34 +353,88 @@ impl WindGenerator {
     }
 }
 
-/// Whose random numbers each of many winds is drawn from.
+/// Members that may be branched, and the parts of a run that they may be branched between.
 #[pyclass(frozen)]
-struct Lineages(Vec<wind::Lineage>);
+struct Particles {
+    particles: Vec<Arc<Particle>>,
+    parts: usize,
+}
 
 #[pymethods]
-impl Lineages {
-    /// Members and the synoptic steps from which on theirs are taken, a row each: those of the first
-    /// column from the beginning, and none where a step is below 0.
+impl Particles {
     #[new]
-    fn new(steps: PyReadonlyArray2<i64>, members: PyReadonlyArray2<u64>) -> PyResult<Self> {
-        if steps.shape() != members.shape() || steps.shape()[1] == 0 {
-            let found = format!("{:?} and {:?}", steps.shape(), members.shape());
-            return Err(DriftError::invalid("lineages", found, "one member for each step").into());
+    fn new(members: PyReadonlyArray1<u64>, parts: usize) -> PyResult<Self> {
+        if parts == 0 {
+            return Err(DriftError::invalid("parts", parts, "there must be one at least").into());
         }
-        let (steps, members) = (steps.as_array(), members.as_array());
-        if let Some(bad) = members.iter().find(|member| **member >= wind::MOST_MEMBERS) {
-            return Err(DriftError::invalid("member", bad, "members are numbered to 2⁶²").into());
+        let particles = (members.as_array().iter())
+            .map(|member| Ok(Arc::new(Particle::new(*member)?)))
+            .collect::<Result<_, DriftError>>()?;
+        Ok(Self { particles, parts })
+    }
+
+    /// Branches of particles: each takes the random numbers of a member from a synoptic step on.
+    fn branched(
+        &self,
+        parents: PyReadonlyArray1<i64>,
+        steps: PyReadonlyArray1<i64>,
+        members: PyReadonlyArray1<u64>,
+    ) -> PyResult<Self> {
+        let (parents, steps) = (indices("parents", &parents)?, indices("steps", &steps)?);
+        if parents.len() != steps.len() || parents.len() != members.len() {
+            let found = [parents.len(), steps.len(), members.len()];
+            let accepted = "a parent, a step and a member for each branch";
+            return Err(DriftError::invalid("branches", format!("{found:?}"), accepted).into());
         }
-        let lineages = steps.rows().into_iter().zip(members.rows()).map(|(steps, members)| {
-            let pairs = steps.iter().zip(members).skip(1);
-            wind::Lineage {
-                member: members[0],
-                branches: pairs
-                    .filter_map(|(step, member)| Some((usize::try_from(*step).ok()?, *member)))
-                    .collect(),
+        let particles = (parents.iter().zip(steps).zip(members.as_array()))
+            .map(|((parent, step), member)| {
+                Ok(Arc::new(self.particle(*parent)?.branched(step, *member)?))
+            })
+            .collect::<Result<_, DriftError>>()?;
+        Ok(Self { particles, parts: self.parts })
+    }
+
+    /// The same with others at some places.
+    fn replaced(&self, places: PyReadonlyArray1<i64>, others: &Self) -> PyResult<Self> {
+        let places = indices("places", &places)?;
+        let mut particles = self.particles.clone();
+        for (k, place) in places.iter().enumerate() {
+            self.particle(*place)?;
+            particles[*place] = others.particle(k)?.clone();
+        }
+        Ok(Self { particles, parts: self.parts })
+    }
+
+    /// Position, `∫W` and wind at the end of each part they were followed in and adrift at, NaN
+    /// elsewhere: shape (parts, particles, 6).
+    fn seen<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let (parts, count) = (self.parts, self.particles.len());
+        let size = product("parts", &[parts, count, 6])?;
+        let mut values = room("parts", size)?;
+        values.resize(size, f64::NAN);
+        for (place, particle) in self.particles.iter().enumerate() {
+            let (first, seen) = particle.seen();
+            for (part, seen) in (first..parts).zip(seen) {
+                let row = 6 * (part * count + place);
+                for (k, of) in seen.iter().enumerate() {
+                    values[row + 2 * k..row + 2 * k + 2].copy_from_slice(of.as_slice());
+                }
             }
-        });
-        Ok(Self(lineages.collect()))
+        }
+        values.into_pyarray(py).reshape([parts, count, 6])
+    }
+
+    /// Steps that they were followed for, in whole runs.
+    fn followed(&self) -> f64 {
+        self.particles.iter().map(|particle| particle.share()).sum()
+    }
+}
+
+impl Particles {
+    fn particle(&self, place: usize) -> Result<&Arc<Particle>, DriftError> {
+        let count = self.particles.len();
+        (self.particles.get(place))
+            .ok_or_else(|| DriftError::invalid("particle", place, format!("there are {count}")))
     }
 }
 
@@ -944,7 +999,7 @@ fn trajectory_arrays(py: Python<'_>, out: Trajectory) -> PyResult<Followed<'_>> 
 #[derive(FromPyObject)]
 enum GivenWinds {
     Drawn(Py<WindGenerator>, u64),
-    Branched(Py<WindGenerator>, u64, Py<Lineages>),
+    Branched(Py<WindGenerator>, u64, Py<Particles>),
     One(Py<WindPath>),
     Paths(Vec<Py<WindPath>>),
     InMemory(Py<WindPaths>),
@@ -966,10 +1021,11 @@ impl GivenWinds {
             Self::Drawn(generator, seed) => {
                 Winds::Drawn { generator: &generator.get().0, seed: *seed }
             }
-            Self::Branched(generator, seed, lineages) => Winds::Branched {
+            Self::Branched(generator, seed, particles) => Winds::Branched {
                 generator: &generator.get().0,
                 seed: *seed,
-                lineages: &lineages.get().0,
+                particles: &particles.get().particles,
+                parts: particles.get().parts,
             },
             Self::One(_) | Self::Paths(_) => Winds::Given(paths),
             Self::InMemory(paths) => Winds::InMemory(&paths.get().0),
@@ -996,7 +1052,7 @@ type Fates<'py> = (
 mod _core {
     #[pymodule_export]
     use super::{
-        Bootstrap, Coast, FieldWinds, Fleet, HandOver, Lineages, Maps, Scenario, Sea, Solver,
+        Bootstrap, Coast, FieldWinds, Fleet, HandOver, Maps, Particles, Scenario, Sea, Solver,
         WindGenerator, WindPath, WindPaths,
     };
 

@@ -108,15 +108,17 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// As many equal steps as bring them to `longest` tide periods or below.
+    /// As many equal steps as bring them to `longest` tide periods or below, and as many in each of
+    /// some `parts` of the run.
     pub fn new(
         carrier: Carrier,
         sea: &dyn SeaField,
         duration: f64,
         drag: f64,
-        longest: f64,
+        (longest, parts): (f64, usize),
     ) -> Result<Self, DriftError> {
-        let steps = (duration / (longest * sea.period()) - 1e-9).ceil().max(1.0);
+        let parts = parts as f64;
+        let steps = (duration / (parts * longest * sea.period()) - 1e-9).ceil().max(1.0) * parts;
         if steps.is_nan() || steps > MOST_STEPS {
             return Err(DriftError::invalid(
                 "steps_per_tide",
@@ -204,6 +206,19 @@ impl State {
             excess_error: Lanes::ZERO,
             lost: [false; WIDTH],
         })
+    }
+
+    /// Where one member is: `P`, and its slope.
+    pub fn place(&self, place: usize) -> [Vec2; 2] {
+        [lane(&self.p, place), lane(&self.stages[6], place)]
+    }
+
+    /// Puts one member to where it, or another, was at this step.
+    pub fn put(&mut self, place: usize, [p, slope]: [Vec2; 2]) {
+        set_lane(&mut self.p, place, p);
+        set_lane(&mut self.stages[6], place, slope);
+        self.excess_error.0[place] = 0.0;
+        self.lost[place] = false;
     }
 
     /// Whether a member's steps up to now cannot be relied on.

@@ -2,11 +2,13 @@
 //! of all of them needs: equations.md (21), summed from knot to knot.
 
 use super::bootstrap::Scratch;
+use smallvec::SmallVec;
+
 use super::path::{WindPath, require_cover};
-use super::{Lineage, MemberWind, Sampling, WindGenerator};
+use super::{Mark, MemberWind, Sampling, WindGenerator};
 use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
-use crate::lanes::{LaneVec2, Lanes, WIDTH, lane, set_lane};
+use crate::lanes::{Kernel, LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
 
 /// Winds of an ensemble in memory, on common regular knots, [`WIDTH`] members to a block.
 #[derive(Debug, Clone)]
@@ -114,11 +116,38 @@ enum Source<'a> {
 pub struct LaneWind<'a> {
     source: Source<'a>,
     spacing: f64,
-    /// Time of the first knot held.
+    /// Time of the first knot, and the number of those no longer held.
     start: f64,
+    dropped: usize,
     /// The knot up to which the integrals have been summed, among those held.
     base: usize,
     sums: Sums,
+}
+
+/// One member's wind at a step of all, to go on from.
+#[derive(Debug, Clone)]
+pub(crate) struct LaneMark {
+    /// The knot up to which the integrals have been summed, counted from the first.
+    knot: usize,
+    sums: [Vec2; 2],
+    /// Wind and excess at the knots drawn from there on.
+    velocity: SmallVec<[Vec2; 2]>,
+    excess: SmallVec<[Vec2; 1]>,
+    member: Mark,
+    /// Synoptic step up to which it is drawn.
+    known: usize,
+}
+
+impl LaneMark {
+    /// Synoptic step up to which the wind is drawn.
+    pub(crate) fn known(&self) -> usize {
+        self.known
+    }
+
+    /// The member's wind, to be drawn on.
+    pub(crate) fn member(&self) -> &Mark {
+        &self.member
+    }
 }
 
 /// What a knot `n` has come to: `∫W + W_n/2` and `∬W − W_n/6` from the release on, in units of the
@@ -145,7 +174,7 @@ impl<'a> LaneWind<'a> {
         let (spacing, start) = (paths.spacing, paths.start);
         let source = Source::InMemory(paths.block(group));
         let zero = [[Lanes::ZERO; 2]; 2];
-        let mut wind = Self { source, spacing, start, base: 0, sums: zero };
+        let mut wind = Self { source, spacing, start, dropped: 0, base: 0, sums: zero };
         let u;
         (wind.base, u) = wind.place(0.0);
         // From that knot to the release, which becomes the origin of the integrals.
@@ -163,11 +192,10 @@ impl<'a> LaneWind<'a> {
         wind
     }
 
-    /// Members, or lineages of them, drawn.
-    pub fn drawn(
+    /// Winds to be drawn; those not at their beginning are to join later.
+    pub(crate) fn drawn(
         generator: &'a WindGenerator,
-        seed: u64,
-        members: impl IntoIterator<Item: Into<Lineage>>,
+        members: impl IntoIterator<Item = Result<MemberWind, DriftError>>,
         sampling: Sampling,
     ) -> Result<Self, DriftError> {
         let (mut knots, mut scratch) = (Vec::new(), Scratch::default());
@@ -175,8 +203,8 @@ impl<'a> LaneWind<'a> {
         let members = (0..)
             .zip(members)
             .map(|(place, member)| {
-                let mut wind = generator.member(seed, member)?;
-                for _ in 0..generator.lead_in() {
+                let mut wind = member?;
+                for _ in wind.drawn()..generator.lead_in() {
                     knots.clear();
                     generator.draw(&mut wind, sampling, &mut knots, &mut scratch);
                 }
@@ -195,23 +223,77 @@ impl<'a> LaneWind<'a> {
             knots,
             scratch,
         };
-        Ok(Self { source, spacing, start: 0.0, base: 0, sums })
+        Ok(Self { source, spacing, start: 0.0, dropped: 0, base: 0, sums })
+    }
+
+    /// What one member's wind has come to; none of winds that are not drawn.
+    pub(crate) fn mark(&self, place: usize) -> Option<LaneMark> {
+        let Source::Drawn { generator, members, velocity, excess, .. } = &self.source else {
+            return None;
+        };
+        let member = members.get(place)?;
+        Some(LaneMark {
+            knot: self.dropped + self.base,
+            sums: self.sums.map(|sum| lane(&sum, place)),
+            velocity: velocity.iter().skip(self.base).map(|w| lane(w, place)).collect(),
+            excess: excess.iter().skip(self.base).map(|w| lane(w, place)).collect(),
+            known: member.drawn().saturating_sub(generator.lead_in()),
+            member: member.mark(),
+        })
+    }
+
+    /// `onto + factor·∬W` and `∫W` at time `t`, which all have come to, and the last wind drawn.
+    pub(crate) fn seen(&self, t: f64, factor: f64, onto: LaneVec2) -> [LaneVec2; 3] {
+        dispatch(SeenKernel { wind: self.view(), t, factor, onto })
+    }
+
+    /// Begins where a member is that is to join, and not at the release.
+    pub(crate) fn begin_at(&mut self, mark: &LaneMark) {
+        if let Source::Drawn { velocity, excess, .. } = &mut self.source {
+            (self.dropped, self.base) = (mark.knot, 0);
+            velocity.resize(mark.velocity.len(), [Lanes::ZERO; 2]);
+            excess.resize(mark.excess.len(), [Lanes::ZERO; 2]);
+        }
+    }
+
+    /// Lets a member join where it was marked; whether the others have come to the same knots.
+    pub(crate) fn join(&mut self, place: usize, mark: &LaneMark) -> bool {
+        let Source::Drawn { velocity, excess, .. } = &mut self.source else {
+            return false;
+        };
+        let held = |knots: &[LaneVec2]| knots.len().saturating_sub(self.base);
+        if self.dropped + self.base != mark.knot
+            || held(velocity) != mark.velocity.len()
+            || held(excess) != mark.excess.len()
+        {
+            return false;
+        }
+        for (knots, of) in [(velocity, &mark.velocity[..]), (excess, &mark.excess[..])] {
+            for (knot, value) in knots.iter_mut().skip(self.base).zip(of) {
+                set_lane(knot, place, *value);
+            }
+        }
+        for (sum, value) in self.sums.iter_mut().zip(mark.sums) {
+            set_lane(sum, place, value);
+        }
+        true
     }
 
     /// Sees to it that the wind is known up to time `t`, for the members `wanted`.
     pub fn draw_until(&mut self, t: f64, wanted: &[bool; WIDTH]) {
-        let needed = ((t - self.start) / self.spacing - 1e-9).ceil();
+        let needed = ((t - self.start) / self.spacing - 1e-9).ceil() as usize;
+        let needed = needed.saturating_sub(self.dropped).max(1);
         let Source::Drawn { generator, sampling, members, velocity, excess, knots, scratch } =
             &mut self.source
         else {
             return;
         };
         let per_step = generator.knots(*sampling).1;
-        while velocity.len() <= needed.max(1.0) as usize {
+        while velocity.len() <= needed {
             if self.base > KEPT_KNOTS {
                 velocity.drain(..self.base);
                 excess.drain(..self.base.min(excess.len()));
-                self.start += self.base as f64 * self.spacing;
+                self.dropped += self.base;
                 self.base = 0;
                 return self.draw_until(t, wanted);
             }
@@ -241,8 +323,8 @@ impl<'a> LaneWind<'a> {
     fn place(&self, t: f64) -> (usize, f64) {
         let place = (t - self.start) / self.spacing;
         let last = self.view().velocity.len() - 2;
-        let knot = (place.max(0.0) as usize).min(last);
-        (knot, place - knot as f64)
+        let knot = (place as usize).saturating_sub(self.dropped).min(last);
+        (knot, place - (self.dropped + knot) as f64)
     }
 
     /// What a kernel needs of the wind over one step.
@@ -256,6 +338,7 @@ impl<'a> LaneWind<'a> {
             excess,
             spacing: self.spacing,
             start: self.start,
+            dropped: self.dropped,
             base: self.base,
             sums: &self.sums,
         }
@@ -279,12 +362,31 @@ impl<'a> LaneWind<'a> {
         let first = lane(&view.velocity[view.base], place);
         let (single, double) = (single - first / 2.0, double + first / 6.0);
         WindPath::stretch(
-            view.start + view.base as f64 * view.spacing,
+            view.start + (view.dropped + view.base) as f64 * view.spacing,
             view.spacing,
             of(view.velocity, last + 1),
             of(view.excess, last),
             [single * view.spacing, double * (view.spacing * view.spacing)],
         )
+    }
+}
+
+struct SeenKernel<'a> {
+    wind: WindView<'a>,
+    t: f64,
+    factor: f64,
+    onto: LaneVec2,
+}
+
+impl Kernel for SeenKernel<'_> {
+    type Output = [LaneVec2; 3];
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { wind, t, factor, onto } = self;
+        let mut walk = wind.walk();
+        let single = walk.integral(t);
+        let last = wind.velocity[wind.velocity.len() - 1];
+        [walk.double_integral(t, factor, onto), single, last]
     }
 }
 
@@ -295,6 +397,7 @@ pub(crate) struct WindView<'a> {
     excess: &'a [LaneVec2],
     spacing: f64,
     start: f64,
+    dropped: usize,
     base: usize,
     sums: &'a Sums,
 }
@@ -315,7 +418,8 @@ impl<'a> WindView<'a> {
     /// Upper bound of the wind's speed from the base to time `t`.
     #[inline(always)]
     pub(crate) fn max_speed(&self, t: f64) -> Lanes {
-        let last = (((t - self.start) / self.spacing).ceil() as usize).min(self.velocity.len() - 1);
+        let last = ((t - self.start) / self.spacing).ceil() as usize;
+        let last = last.saturating_sub(self.dropped).min(self.velocity.len() - 1);
         let mut speed = Lanes::ZERO;
         for w in &self.velocity[self.base..=last] {
             speed = speed.max(w[0].abs() + w[1].abs());
@@ -335,7 +439,7 @@ impl Walk<'_> {
     fn go_to(&mut self, t: f64) -> f64 {
         let view = &self.view;
         let place = (t - view.start) / view.spacing;
-        let target = (place as usize).min(view.velocity.len() - 2);
+        let target = (place as usize).saturating_sub(view.dropped).min(view.velocity.len() - 2);
         let [single, double] = &mut self.sums;
         while self.knot < target {
             let next = &view.velocity[self.knot + 1];
@@ -351,7 +455,7 @@ impl Walk<'_> {
             }
             self.knot += 1;
         }
-        place - self.knot as f64
+        place - (view.dropped + self.knot) as f64
     }
 
     /// `onto + factor·∬W` from the release to time `t`, not before the last one asked for.
@@ -408,6 +512,7 @@ impl Walk<'_> {
 mod tests {
     use std::sync::Arc;
 
+    use super::super::Lineage;
     use super::super::bootstrap::{Bootstrap, Catalogue};
     use super::super::small_scale::SmallScale;
     use super::*;
@@ -467,7 +572,7 @@ mod tests {
             }
             // No knot of the stretch is beyond the interval of its end.
             let view = wind.view();
-            let first = view.start + view.base as f64 * view.spacing;
+            let first = view.start + (view.dropped + view.base) as f64 * view.spacing;
             let knots = wind.stretch(end, place).times().len() as f64;
             assert!(first + (knots - 2.0) * view.spacing <= end + 1e-12);
             let bound = view.max_speed(end).0[place];
@@ -500,7 +605,8 @@ mod tests {
         for sampling in [Sampling::Coarse, Sampling::Fine] {
             for place in [0, 3, 7] {
                 let path = generator.path(8, 40 + place as u64, 2.0, sampling)?;
-                assert_is(LaneWind::drawn(&generator, 8, 40..48, sampling)?, place, &path);
+                let members = (40..48).map(|member| generator.member(8, member));
+                assert_is(LaneWind::drawn(&generator, members, sampling)?, place, &path);
             }
         }
         Ok(())
@@ -524,7 +630,8 @@ mod tests {
             assert_eq!(shared(&plain, &parents), Some(0.5));
             assert_eq!(shared(&parents, &childs), Some(1.25));
             assert_eq!(shared(&childs, &other), None);
-            let wind = LaneWind::drawn(&generator, 8, [parent.clone(), child.clone()], sampling)?;
+            let members = [&parent, &child].map(|lineage| generator.member(8, lineage.clone()));
+            let wind = LaneWind::drawn(&generator, members, sampling)?;
             assert_is(wind, 1, &childs);
         }
         Ok(())
@@ -546,6 +653,7 @@ mod tests {
             excess: &excess,
             spacing: 0.5,
             start: 1.0,
+            dropped: 0,
             base: 0,
             sums: &sums,
         };

@@ -39,13 +39,24 @@ enum Stream {
 /// A century of tides has 70,000, and each a hundred knots.
 const MOST_KNOTS: f64 = 2e7;
 
+/// Streams of each member.
+const STREAMS: u64 = 4;
+
 /// Streams are numbered by four times the member.
 pub(crate) const MOST_MEMBERS: u64 = 1 << 62;
+
+/// Fails unless a member has streams of its own.
+pub(crate) fn numbered(member: u64) -> Result<(), DriftError> {
+    if member < MOST_MEMBERS {
+        return Ok(());
+    }
+    Err(DriftError::invalid("member", member, "members are numbered to 2⁶²"))
+}
 
 /// Generator keyed by (seed, member, stream): no member's numbers depend on another's.
 fn stream(seed: u64, member: u64, stream: Stream) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(4 * member + stream as u64);
+    rng.set_stream(STREAMS * member + stream as u64);
     rng
 }
 
@@ -193,9 +204,7 @@ impl Synoptic {
         seed: u64,
         member: u64,
     ) -> Result<Self, DriftError> {
-        if member >= MOST_MEMBERS {
-            return Err(DriftError::invalid("member", member, "members are numbered to 2⁶²"));
-        }
+        numbered(member)?;
         let mut rng = stream(seed, member, Stream::Synoptic);
         let Some(hand_over) = &beginning.hand_over else {
             let chain = bootstrap.start(beginning.phase, &mut rng)?;
@@ -294,9 +303,47 @@ impl WindGenerator {
         })
     }
 
+    /// The wind of a lineage, ready to be drawn on from where a member with the same past was.
+    pub(crate) fn resumed(&self, seed: u64, lineage: &Lineage, mark: &Mark) -> MemberWind {
+        let Mark { chain, handed, error, slow, fast, drawn, streams_of, read } = mark;
+        let [synoptic, coarse, fine] = [
+            (Stream::Synoptic, read[0]),
+            (Stream::SmallScale, read[1]),
+            (Stream::FinePath, read[2]),
+        ]
+        .map(|(name, read)| {
+            let mut rng = stream(seed, *streams_of, name);
+            rng.set_word_pos(read);
+            rng
+        });
+        let ahead = |(step, _): &&(usize, u64)| self.lead_in + step >= *drawn;
+        let branches: Vec<_> = lineage.branches.iter().filter(ahead).copied().collect();
+        MemberWind {
+            synoptic: Synoptic {
+                chain: chain.clone(),
+                rng: synoptic,
+                member: lineage.member,
+                handed: *handed,
+                error: *error,
+            },
+            slow: *slow,
+            fast: *fast,
+            coarse,
+            fine,
+            seed,
+            branches: branches.into_iter().peekable(),
+            drawn: *drawn,
+        }
+    }
+
     /// Synoptic steps drawn before time 0.
     pub(crate) fn lead_in(&self) -> usize {
         self.lead_in
+    }
+
+    /// Time up to which the wind is drawn where it is needed up to `t`.
+    pub(crate) fn drawn_until(&self, t: f64) -> f64 {
+        (t / self.step - 1e-9).ceil() * self.step
     }
 
     /// Spacing of a path's knots, and how many of them one synoptic step holds.
@@ -396,7 +443,41 @@ pub(crate) struct MemberWind {
     drawn: usize,
 }
 
+/// The same, small enough to be kept for many: streams are named, with the words read of each.
+#[derive(Debug, Clone)]
+pub(crate) struct Mark {
+    chain: Chain,
+    handed: usize,
+    error: Vec2,
+    slow: Vec2,
+    fast: Vec2,
+    drawn: usize,
+    /// Whose streams are read.
+    streams_of: u64,
+    read: [u128; 3],
+}
+
 impl MemberWind {
+    /// What it has come to.
+    pub(crate) fn mark(&self) -> Mark {
+        let Self { synoptic, slow, fast, coarse, fine, drawn, .. } = self;
+        Mark {
+            chain: synoptic.chain.clone(),
+            handed: synoptic.handed,
+            error: synoptic.error,
+            slow: *slow,
+            fast: *fast,
+            drawn: *drawn,
+            streams_of: synoptic.rng.get_stream() / STREAMS,
+            read: [&synoptic.rng, coarse, fine].map(ChaCha8Rng::get_word_pos),
+        }
+    }
+
+    /// Synoptic steps drawn, those before time 0 included.
+    pub(crate) fn drawn(&self) -> usize {
+        self.drawn
+    }
+
     /// The wind at the last knot drawn.
     pub(crate) fn velocity(&self) -> Vec2 {
         self.slow + self.fast
