@@ -123,3 +123,16 @@ def test_no_run_has_more_response_times_than_steps_can_be() -> None:
 def test_what_a_shell_completes_is_there() -> None:
     assert dir(dc) == sorted(dc.__all__)
     assert all(hasattr(dc, name) for name in dc.__all__)
+
+
+@pytest.mark.parametrize(("step", "lead_in"), [(0.01, 2**40), (1e-12, 0)])
+def test_members_side_by_side_have_no_more_knots_than_others(
+    step: float, lead_in: int, embedded_wind: dc.LocalGridBootstrap
+) -> None:
+    case = dc.paper.scenario()
+    _, solver = solver_of(case, "mean-flow", None, None, True, "B", 1e-6, None)
+    generator = _core.WindGenerator(embedded_wind.core, step, 3.0, 0.1, 0.01, 1, lead_in)
+    fates = Fates.empty(9, 0, 0, 0)
+    told = scenario_core(case).run((generator, 1), solver, 0, np.zeros(0), 0, fates, 1, [])
+    assert "a wind path has at most 20000000 knots" in str(told)
+    assert (fates.status == 3).all()
