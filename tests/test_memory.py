@@ -15,6 +15,7 @@ import pytest
 import driftcore as dc
 from driftcore import _core, memory
 from driftcore.climate import synthetic_record
+from driftcore.members import Fates
 
 SCENARIO = dc.paper.scenario(epsilon=0.1)
 CALM = dc.WindPath([-1.0, 2.0], np.zeros((2, 2)))
@@ -186,3 +187,15 @@ def test_without_what_linux_tells_it_is_all_of_the_machine(monkeypatch: Any) -> 
     assert memory.available() == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     monkeypatch.delattr(os, "sysconf")
     assert memory.available() == math.inf
+
+
+def test_members_take_their_fates_and_a_dataset_of_them(monkeypatch: Any) -> None:
+    """Twice a status of one byte, a time, a place and a time for each target, of eight a number."""
+    monkeypatch.setattr(memory, "available", lambda: 0.0)
+    each = 1 + 3 * 8
+    for targets in (0, 2):
+        bytes_ = 2 * (each + 8 * targets) * 10**6
+        with pytest.raises(dc.ScenarioError, match=f"^members: .* take {bytes_ / 1e9:.3g} GB"):
+            Fates.empty(10**6, 0, 1, targets)
+    with pytest.raises(dc.ScenarioError, match=r"^keep: 1e\+06 positions .* take 0\.032 GB"):
+        Fates.empty(1, 1000, 1000, 0)

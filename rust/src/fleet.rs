@@ -252,6 +252,17 @@ mod tests {
         Ok(())
     }
 
+    /// Of a run of length 1: steps as short as the response would be too many.
+    #[test]
+    fn a_response_that_is_hardly_any_is_none() -> Result<(), DriftError> {
+        for (given, kept) in [(0.99e-6, 0.0), (1.01e-6, 1.01e-6), (0.5, 0.5)] {
+            let mut fleet = fleet()?;
+            fleet.bodies[0].response = given;
+            assert_eq!(fleet.validated()?.bodies[0].response, kept);
+        }
+        Ok(())
+    }
+
     /// Members count from `first`, take releases in turn, and are nowhere before their own.
     #[test]
     fn members_have_releases_of_their_own() -> Result<(), DriftError> {
