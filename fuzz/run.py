@@ -142,12 +142,16 @@ def run(
         sys.stdout.flush()
         pid = os.fork()
         if pid == 0:
+            code = 1
             try:
                 _child(target, seed, range(at, min(at + GENERATION, end)), shared, folder)
+                code = 0
             finally:
-                os._exit(0)
+                os._exit(code)
         _, status = os.waitpid(pid, 0)
         at, done, accepted = struct.unpack("qqq", shared)
+        if os.WIFEXITED(status) and os.WEXITSTATUS(status):
+            raise RuntimeError(f"{name}: case {at} of seed {seed} could not be made")
         if os.WIFSIGNALED(status):
             ended_by = signal.Signals(os.WTERMSIG(status))
             hangs = {

@@ -388,7 +388,9 @@ def mutated_dataset(rng: Random, dataset: xr.Dataset) -> xr.Dataset:
         variable = dataset[name].variable
         kind = rng.randrange(10)
         # What xarray itself does not make is no case.
-        with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError, AttributeError):
+        with contextlib.suppress(
+            *(ValueError, LookupError, TypeError, OverflowError, AttributeError)
+        ):
             if kind == 0:
                 dataset = dataset.drop_vars(name)
             elif kind == 1:

@@ -54,3 +54,15 @@ def test_a_fault_is_found_and_kept(fault: str, told: str, tmp_path: Path) -> Non
     ((what, file),) = report.findings.items()
     assert what.startswith(told)
     assert "--seed 1 --only 0" in file.read_text()
+
+
+def test_a_case_that_cannot_be_made_ends_the_run(tmp_path: Path) -> None:
+    """It is no finding, and is not tried for ever."""
+    from targets import Target
+
+    TARGETS["unmade"] = Target("unmade", lambda _: 1 / 0, lambda _: None)
+    try:
+        with pytest.raises(RuntimeError, match="unmade: case 0 of seed 1 could not be made"):
+            run("unmade", 3, seed=1, folder=tmp_path)
+    finally:
+        del TARGETS["unmade"]
