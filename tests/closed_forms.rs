@@ -124,7 +124,7 @@ fn lanes_reach_as_far_as_the_table_says() {
     let problem = Problem { sea: &sea, wind: &wind, drag, duration: 2.0, position, velocity };
     let paths = WindPaths::new(-0.3, 0.7, [3, 5], |_, _| velocity).unwrap();
     for carrier in [Carrier::Velocity, Carrier::MeanDrift] {
-        let grid = Grid::new(carrier, &sea, 2.0, drag, 0.01).unwrap();
+        let grid = Grid::new(carrier, &sea, 2.0, drag, (0.01, 1)).unwrap();
         assert_eq!(grid.steps(), 64);
         for last in [0, 1, 7, 40, 63] {
             let (t, end) = grid.span(last);
