@@ -138,3 +138,50 @@ fn clear(coast: &Coast, reach: &Reach, safe: &mut Safe) -> bool {
     *safe = Some((reach.center, clearance));
     clearance > reach.radius
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::coast::Side;
+
+    use super::*;
+
+    const TIMES: [f64; 3] = [0.0, 0.5, 1.0];
+
+    fn watch<'a>(targets: &'a [&'a Coast], outputs: &'a [f64], samples: &'a [f64]) -> Watch<'a> {
+        Watch { coast: None, targets, period: 0.1, outputs, samples }
+    }
+
+    #[test]
+    fn before_its_release_a_member_is_nowhere() {
+        for (time, before) in [(0.0, 0), (0.2, 1), (0.5, 1), (0.6, 2), (2.0, 3)] {
+            let log = Logbook::from_release(watch(&[], &TIMES, &TIMES[1..]), time);
+            assert_eq!(log.positions.len(), before);
+            assert_eq!(log.track.len(), before.saturating_sub(1));
+            assert!(log.positions.iter().chain(&log.track).all(|x| x.x.is_nan() && x.y.is_nan()));
+        }
+    }
+
+    #[test]
+    fn a_time_is_due_once_it_has_come() {
+        for (outputs, samples) in [(&TIMES[1..], &[][..]), (&[], &TIMES[1..])] {
+            let log = Logbook::new(watch(&[], outputs, samples));
+            assert_eq!([0.4, 0.5, 0.6].map(|t| log.is_due(t)), [false, true, true]);
+        }
+        assert!(!Logbook::new(watch(&[], &[], &[])).is_due(9.0));
+    }
+
+    #[test]
+    fn a_target_is_near_until_it_is_entered() -> Result<(), DriftError> {
+        let target = Coast::circle(Vec2::zeros(), 1.0, Side::Outside)?;
+        let targets = [&target];
+        let mut log = Logbook::new(watch(&targets, &[], &[]));
+        let around = |x: f64| Reach { center: Vec2::new(x, 0.0), radius: 0.5, speed: 1.0 };
+        assert_eq!(
+            [3.0, 1.6, 1.4, 3.0].map(|x| log.is_near(&around(x))),
+            [false, false, true, false]
+        );
+        log.entries[0] = 0.3;
+        assert!(!log.is_near(&around(1.4)));
+        Ok(())
+    }
+}
