@@ -184,4 +184,53 @@ mod tests {
         assert!(!log.is_near(&around(1.4)));
         Ok(())
     }
+
+    /// Straight on along the first axis, from `from` at time 0.
+    struct Straight {
+        from: f64,
+    }
+
+    impl Piece for Straight {
+        fn span(&self) -> (f64, f64) {
+            (0.0, 4.0)
+        }
+        fn position(&self, t: f64) -> Result<Vec2, DriftError> {
+            Ok(Vec2::new(self.from + t, 0.0))
+        }
+        fn velocity(&self, _: f64) -> Result<Vec2, DriftError> {
+            Ok(Vec2::new(1.0, 0.0))
+        }
+        fn mean(&self, _: f64) -> Result<Option<(Vec2, Vec2)>, DriftError> {
+            Ok(None)
+        }
+        fn reach(&self) -> Reach {
+            Reach { center: Vec2::new(self.from + 2.0, 0.0), radius: 2.0, speed: 1.0 }
+        }
+    }
+
+    /// Ashore at 2; a target is met at 1, another would have been at 3.
+    #[test]
+    fn who_has_stranded_enters_nothing_and_is_nowhere() -> Result<(), DriftError> {
+        let disc = |x: f64| Coast::circle(Vec2::new(x, 0.0), 0.5, Side::Outside);
+        let (shore, early, late) = (disc(2.5)?, disc(1.5)?, disc(3.5)?);
+        let targets = [&early, &late];
+        let times = [1.5, 2.5];
+        let watch = Watch { coast: Some(&shore), ..watch(&targets, &times, &times) };
+        let mut log = Logbook::new(watch);
+        assert_eq!(log.look(&Straight { from: 0.0 }, true)?, ControlFlow::Break(()));
+        let member = log.close(Ok(()));
+        assert_eq!(member.status, Status::Stranded);
+        assert!(member.stranding.is_some_and(|(t, x)| (t - 2.0).abs() + (x.x - 2.0).abs() < 1e-12));
+        assert_eq!(member.positions, [Vec2::new(1.5, 0.0)]);
+        assert_eq!(member.track, member.positions);
+        assert!((member.entries[0] - 1.0).abs() < 1e-12 && member.entries[1].is_nan());
+        Ok(())
+    }
+
+    #[test]
+    fn a_place_that_is_none_is_a_failure() {
+        let mut log = Logbook::new(watch(&[], &TIMES, &[]));
+        let lost = log.look(&Straight { from: f64::NAN }, false);
+        assert!(lost.is_err_and(|error| error.to_string().contains("the state is not finite")));
+    }
 }
