@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from driftcore import _core
+from driftcore.members import Fates
 from driftcore.sea import spline_coefficients
 
 _AXIS = (-2.0, 0.05, 121)
 _X, _Y = np.meshgrid(*[np.linspace(-2, 4, 121)] * 2)
 _TIMES = np.linspace(0, 1, 401)
+EXACT = _core.Solver.full(True, 1e-11, 1e-11, None)
 
 
 def sea(epsilon: float) -> _core.Sea:
@@ -51,9 +53,8 @@ def errors(winds: _core.FieldWinds, order: int, epsilon: float) -> tuple[float, 
     fleet = _core.Fleet(
         sea(epsilon), None, None, 1.0, 0, np.zeros(1), release, np.zeros((1, 2)), body, 0.0, 1
     )
-    exact = _core.Solver.full(True, 1e-11, 1e-11, None)
     averaged = _core.Solver.mean_flow(order, 1e-11, 1e-11, None)
-    full, mean = (fleet.trajectory(winds, solver, _TIMES)[0] for solver in (exact, averaged))
+    full, mean = (fleet.trajectory(winds, solver, _TIMES)[0] for solver in (EXACT, averaged))
     return tuple(float(np.abs(full[k] - mean[k]).max()) for k in range(2))  # type: ignore[return-value]
 
 
@@ -82,3 +83,27 @@ def test_order_two_is_of_the_papers_body_only() -> None:
     )
     with pytest.raises(ValueError, match="only the paper's body"):
         fleet.trajectory(wind(np.ones((3, 3))), _core.Solver.mean_flow(2, 1e-6, 1e-6, None), _TIMES)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_order_two_strands_as_by_the_papers_body_in_a_uniform_wind(moving: bool) -> None:
+    """Two programs of one expansion, and the full model within its order."""
+    epsilon, water = 1 / 40, sea(1 / 40)
+    start = np.array([[1.0, 1.0]])
+    own = water.velocity(np.zeros(1), start)
+    coast = _core.Coast.circle((1.0, 1.0), 0.6, True)
+    path = _core.WindPath(np.linspace(-1.0, 2.0, 4), np.array([[3.0, 1.0], [1.0, 2.0]] * 2))
+    body = np.array([[1.0, 1.0, 1.0, 0, 0, 0, 0, 0, 0, 0]])
+    given = own if moving else None
+    fleet = _core.Fleet(water, coast, None, 1.0, 0, np.zeros(1), start, given, body, 0.0, 1)
+    alone = _core.Scenario(water, coast, 1.0, 1.0, (1.0, 1.0), tuple(own[0]))
+    averaged = _core.Solver.mean_flow(2, 1e-9, 1e-9, None)
+    times = np.zeros(1)
+    found = []
+    for followed, solver in ((fleet, averaged), (alone, averaged), (fleet, EXACT)):
+        fates = Fates.empty(1, 1, 1, 0)
+        assert followed.run([path], solver, 0, times, 1, fates, 1, []) is None
+        assert fates.status.tolist() == [1]
+        found.append(np.array([fates.stranding_time[0], *fates.stranding_position[0]]))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-7)
+    np.testing.assert_allclose(found[0], found[2], atol=20 * epsilon**3)

@@ -239,6 +239,7 @@ mod tests {
             assert!(refused(|f| f.bodies[0].jibed.slope = bad)?.contains(finite));
             assert!(refused(|f| f.bodies[0].surface_current[1] = bad)?.contains(finite));
         }
+        assert_eq!(refused(|f| f.releases[0].time = 0.0)?, "");
         assert_eq!(refused(|f| f.first = MOST_MEMBERS - 1)?, "");
         assert!(refused(|f| f.first = MOST_MEMBERS)?.contains("members are numbered to 2⁶²"));
         // A run of length 1, of ten tides.

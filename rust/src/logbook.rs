@@ -138,3 +138,99 @@ fn clear(coast: &Coast, reach: &Reach, safe: &mut Safe) -> bool {
     *safe = Some((reach.center, clearance));
     clearance > reach.radius
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::coast::Side;
+
+    use super::*;
+
+    const TIMES: [f64; 3] = [0.0, 0.5, 1.0];
+
+    fn watch<'a>(targets: &'a [&'a Coast], outputs: &'a [f64], samples: &'a [f64]) -> Watch<'a> {
+        Watch { coast: None, targets, period: 0.1, outputs, samples }
+    }
+
+    #[test]
+    fn before_its_release_a_member_is_nowhere() {
+        for (time, before) in [(0.0, 0), (0.2, 1), (0.5, 1), (0.6, 2), (2.0, 3)] {
+            let log = Logbook::from_release(watch(&[], &TIMES, &TIMES[1..]), time);
+            assert_eq!(log.positions.len(), before);
+            assert_eq!(log.track.len(), before.saturating_sub(1));
+            assert!(log.positions.iter().chain(&log.track).all(|x| x.x.is_nan() && x.y.is_nan()));
+        }
+    }
+
+    #[test]
+    fn a_time_is_due_once_it_has_come() {
+        for (outputs, samples) in [(&TIMES[1..], &[][..]), (&[], &TIMES[1..])] {
+            let log = Logbook::new(watch(&[], outputs, samples));
+            assert_eq!([0.4, 0.5, 0.6].map(|t| log.is_due(t)), [false, true, true]);
+        }
+        assert!(!Logbook::new(watch(&[], &[], &[])).is_due(9.0));
+    }
+
+    #[test]
+    fn a_target_is_near_until_it_is_entered() -> Result<(), DriftError> {
+        let target = Coast::circle(Vec2::zeros(), 1.0, Side::Outside)?;
+        let targets = [&target];
+        let mut log = Logbook::new(watch(&targets, &[], &[]));
+        let around = |x: f64| Reach { center: Vec2::new(x, 0.0), radius: 0.5, speed: 1.0 };
+        assert_eq!(
+            [3.0, 1.6, 1.4, 3.0].map(|x| log.is_near(&around(x))),
+            [false, false, true, false]
+        );
+        log.entries[0] = 0.3;
+        assert!(!log.is_near(&around(1.4)));
+        Ok(())
+    }
+
+    /// Straight on along the first axis, from `from` at time 0.
+    struct Straight {
+        from: f64,
+    }
+
+    impl Piece for Straight {
+        fn span(&self) -> (f64, f64) {
+            (0.0, 4.0)
+        }
+        fn position(&self, t: f64) -> Result<Vec2, DriftError> {
+            Ok(Vec2::new(self.from + t, 0.0))
+        }
+        fn velocity(&self, _: f64) -> Result<Vec2, DriftError> {
+            Ok(Vec2::new(1.0, 0.0))
+        }
+        fn mean(&self, _: f64) -> Result<Option<(Vec2, Vec2)>, DriftError> {
+            Ok(None)
+        }
+        fn reach(&self) -> Reach {
+            Reach { center: Vec2::new(self.from + 2.0, 0.0), radius: 2.0, speed: 1.0 }
+        }
+    }
+
+    /// Ashore at 2; a target is met at 1, another would have been at 3.
+    #[test]
+    fn who_has_stranded_enters_nothing_and_is_nowhere() -> Result<(), DriftError> {
+        let disc = |x: f64| Coast::circle(Vec2::new(x, 0.0), 0.5, Side::Outside);
+        let (shore, early, late) = (disc(2.5)?, disc(1.5)?, disc(3.5)?);
+        let targets = [&early, &late];
+        let times = [1.5, 2.5];
+        let watch = Watch { coast: Some(&shore), ..watch(&targets, &times, &times) };
+        let mut log = Logbook::new(watch);
+        assert_eq!(log.look(&Straight { from: 0.0 }, true)?, ControlFlow::Break(()));
+        let member = log.close(Ok(()));
+        assert_eq!(member.status, Status::Stranded);
+        assert!(member.stranding.is_some_and(|(t, x)| (t - 2.0).abs() + (x.x - 2.0).abs() < 1e-12));
+        assert_eq!(member.positions, [Vec2::new(1.5, 0.0)]);
+        assert_eq!(member.track, member.positions);
+        assert!((member.entries[0] - 1.0).abs() < 1e-12 && member.entries[1].is_nan());
+        Ok(())
+    }
+
+    #[test]
+    fn a_place_that_is_none_is_a_failure() {
+        let mut log = Logbook::new(watch(&[], &TIMES, &[]));
+        let lost = log.look(&Straight { from: f64::NAN }, false);
+        assert!(lost.is_err_and(|error| error.to_string().contains("the state is not finite")));
+    }
+}

@@ -299,6 +299,13 @@ mod tests {
     }
 
     #[test]
+    fn cells_count_from_their_first_edge() {
+        let cells = Cells { start: -3.0, size: 0.5, count: 4 };
+        let found = [-3.01, -3.0, -2.6, -2.5, -1.01, -1.0].map(|at| cells.cell(cells.place(at)));
+        assert_eq!(found, [None, Some(0), Some(0), Some(1), Some(3), None]);
+    }
+
+    #[test]
     fn a_line_goes_through_its_cells_in_order() -> Result<(), DriftError> {
         let through = [(0, 0), (1, 0), (2, 0), (2, 1), (3, 1)];
         assert_eq!(crossed((0.5, 0.25), (3.5, 1.5))?, through);

@@ -246,3 +246,25 @@ fn harmonics(sea: &dyn SeaField, t: f64, x: Vec2) -> Result<Harmonics, DriftErro
     sea.harmonics(t, x, &mut out)?;
     Ok(out)
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::field::gridded::{Axis, GriddedSea, Tide};
+
+    use super::*;
+
+    #[test]
+    fn several_constituents_have_no_common_period() -> Result<(), DriftError> {
+        let sea = |tide, channels| {
+            let axis = Axis { start: 0.0, step: 1.0, count: 1 };
+            GriddedSea::new(0.1, [axis; 3], tide, channels, vec![0.0.into(); channels])
+        };
+        assert!(require_periodic(&sea(Tide::Harmonics(2), 4)?, "mean-flow order 2").is_ok());
+        let lines = [61.0, 63.0].map(|omega| Harmonic { omega, species: 2, ..Harmonic::default() });
+        let several = sea(Tide::Constituents(lines.to_vec()), 4)?;
+        let told = require_periodic(&several, "mean-flow order 2").map_err(|e| e.to_string());
+        let beginning = "mean-flow order 2: a tide of several constituents of one species is not";
+        assert!(told.is_err_and(|words| words.starts_with(beginning)));
+        Ok(())
+    }
+}
