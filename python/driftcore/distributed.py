@@ -74,7 +74,7 @@ def followed(
         There are no workers, one cannot do the work, or the scheduler is gone.
     """
     from dask.distributed import CancelledError, KilledWorker, as_completed
-    from distributed.comm import CommClosedError
+    from distributed.comm.core import CommClosedError
 
     if not todo:
         return
