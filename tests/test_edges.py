@@ -17,10 +17,10 @@ import xarray as xr
 from scipy.special import logsumexp
 
 import driftcore as dc
-from driftcore.members import kept_of
 from driftcore import files
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreWarning, OutputError, RecordError, ScenarioError
+from driftcore.members import kept_of
 from driftcore.scenario import EnsembleConfiguration, WindConfiguration
 from driftcore.statistics import probability, wilson
 from reference import Floats
