@@ -20,6 +20,7 @@ import driftcore as dc
 from driftcore import files
 from driftcore.climate import synthetic_record
 from driftcore.errors import DriftCoreWarning, OutputError, RecordError, ScenarioError
+from driftcore.members import kept_of
 from driftcore.scenario import EnsembleConfiguration, WindConfiguration
 from driftcore.statistics import probability, wilson
 from reference import Floats
@@ -435,3 +436,10 @@ def test_a_folder_where_a_file_is(tmp_path: Path) -> None:
         fill()
     assert [path.name for path in tmp_path.rglob("*")] == ["results", "sub"]
     assert (target / "sub").read_text(encoding="utf-8") == "a file"
+
+
+@pytest.mark.parametrize(
+    ("first", "keep", "kept"), [(0, 4, 4), (2, 4, 2), (4, 4, 0), (9, 4, 0), (0, 50, 10), (3, 12, 9)]
+)
+def test_kept_are_the_members_below_a_number(first: int, keep: int, kept: int) -> None:
+    assert kept_of(first, 10, keep) == kept
