@@ -865,6 +865,21 @@ def core_path(rng: Random) -> Any:
     return _core.WindPath(times, array(rng, (knots, 2)))
 
 
+def core_particles(rng: Random, members: int) -> Any:
+    """Make particles, and branches of some of them."""
+    particles = _core.Particles(array(rng, (members,), "u8"), count(rng, 3))
+    for _ in range(rng.choice([0, 0, 1, 3])):
+        particles = core_branched(rng, particles, members)
+    return particles
+
+
+def core_branched(rng: Random, particles: Any, members: int) -> Any:
+    """Replace some particles by branches of others."""
+    parents, places = (array(rng, (2,), "i8") % members for _ in range(2))
+    branches = particles.branched(parents, array(rng, (2,), "i8"), array(rng, (2,), "u8"))
+    return particles.replaced(places, branches)
+
+
 def core_winds(rng: Random, step: Any) -> Any:
     """Make winds of an ensemble of some kind, for nine members most often."""
     kind = rng.randrange(6)
@@ -879,10 +894,7 @@ def core_winds(rng: Random, step: Any) -> Any:
         values = array(rng, (members, 20, 2))
         return _core.WindPaths(real(rng, -1), real(rng, 0.3), values)
     if kind == 4:
-        steps, parents = (array(rng, (members, 3), kind) for kind in ("i8", "u8"))
-        if isinstance(steps, np.ndarray) and steps.ndim == 2 and rng.random() < 0.5:
-            steps = steps * np.array([0, 1, -1])
-        return core_generator(rng, step), count(rng, 7), _core.Lineages(steps, parents)
+        return core_generator(rng, step), count(rng, 7), core_particles(rng, members)
     small = (real(rng, 0.1), real(rng, 0.1), count(rng, 3), count(rng, 1))
     sizes = [rng.choice([1, 4]) for _ in range(2)]
     axes = [(real(rng, -5), real(rng, 3), count(rng, n)) for n in sizes]
@@ -1027,17 +1039,16 @@ def core_run(rng: Random, fleet: bool) -> None:
     if not fleet and rng.random() < 0.2:
         more["steps_per_tide"] = real(rng, 8)
     first = count(rng, 0)
-    floating.run(
-        winds,
-        solver,
-        first,
-        times,
-        keep,
-        tuple(into),
-        count(rng, rng.choice([1, 2])),
-        targets,
-        **more,
-    )
+    threads = count(rng, rng.choice([1, 2]))
+    floating.run(winds, solver, first, times, keep, tuple(into), threads, targets, **more)
+    if isinstance(winds, tuple) and len(winds) == 3:
+        generator, seed, particles = winds
+        for _ in range(rng.choice([0, 1, 3])):
+            particles = core_branched(rng, particles, members)
+            again = (generator, seed, particles)
+            floating.run(again, solver, first, times, keep, tuple(into), threads, targets)
+        require(0 <= particles.followed() < np.inf, "a share of the run that is none")
+        require(particles.seen().shape[2] == 6, "what particles are seen at")
     status, place = into[0], into[2]
     stranded = status == 1
     require((np.isfinite(place).all(axis=1) == stranded).all(), "place of stranding")

@@ -485,10 +485,7 @@ impl<'a> Ensemble<'a> {
             Winds::Branched { parts, .. } => Some(shared.grid.steps() / parts),
             _ => None,
         };
-        let mut trails: [Trail; WIDTH] = std::array::from_fn(|place| {
-            let begun = starts[place].map_or(0, |start| start.step);
-            Trail::of(part.map_or(0, |part| (shared.grid.steps() - begun) / part))
-        });
+        let mut trails: [Trail; WIDTH] = std::array::from_fn(|_| Trail::default());
         let watched = bounded || members.start < self.keep || self.maps.is_some() || part.is_some();
         let together = if watched { 1 } else { UNWATCHED_STEPS };
         let mut n = 0;

@@ -36,14 +36,6 @@ pub(crate) struct Trail {
     pub(crate) share: f64,
 }
 
-impl Trail {
-    /// Nothing yet, with room for that many parts.
-    pub(crate) fn of(parts: usize) -> Self {
-        let (snapshots, seen) = (Vec::with_capacity(parts), Vec::with_capacity(parts));
-        Self { snapshots, seen, ..Self::default() }
-    }
-}
-
 /// A member that may be branched. A branch has its parent's past: the random numbers up to a
 /// synoptic step, so that it goes on from the last snapshot whose wind is drawn no further than
 /// that. Without one it is followed from the release, which gives the same bits.

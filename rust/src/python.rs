@@ -353,6 +353,9 @@ impl WindGenerator {
     }
 }
 
+/// A part is about a tide: these are more than a century.
+const MOST_PARTS: usize = 100_000;
+
 /// Members that may be branched, and the parts of a run that they may be branched between.
 #[pyclass(frozen)]
 struct Particles {
@@ -364,8 +367,9 @@ struct Particles {
 impl Particles {
     #[new]
     fn new(members: PyReadonlyArray1<u64>, parts: usize) -> PyResult<Self> {
-        if parts == 0 {
-            return Err(DriftError::invalid("parts", parts, "there must be one at least").into());
+        if parts == 0 || parts > MOST_PARTS {
+            let accepted = format!("a run has from 1 to {MOST_PARTS}");
+            return Err(DriftError::invalid("parts", parts, accepted).into());
         }
         let particles = (members.as_array().iter())
             .map(|member| Ok(Arc::new(Particle::new(*member)?)))
