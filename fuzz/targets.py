@@ -1054,8 +1054,9 @@ def core_run(rng: Random, fleet: bool) -> None:
     require((np.isfinite(place).all(axis=1) == stranded).all(), "place of stranding")
     kept = into[3][: max(0, keep - first)]
     afloat = kept[status[: len(kept)] == 0]
-    # Before its release a member is nowhere.
-    require(np.any(released) or np.isfinite(afloat).all(), "afloat where no place is")
+    # Before its release a member is nowhere, and a branch before it begins.
+    later = np.any(released) or (isinstance(winds, tuple) and len(winds) == 3)
+    require(later or np.isfinite(afloat).all(), "afloat where no place is")
 
 
 CORE_REFUSALS = (TypeError, ValueError, OverflowError, RuntimeError)

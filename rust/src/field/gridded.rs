@@ -51,6 +51,10 @@ impl Axis {
         if self.count == 1 { 1 } else { self.count.saturating_add(2) }
     }
 
+    fn end(&self) -> f64 {
+        self.start + (self.count - 1) as f64 * self.step
+    }
+
     pub(crate) fn contains(&self, at: f64) -> bool {
         self.count == 1
             || (0.0..=(self.count - 1) as f64).contains(&((at - self.start) / self.step))
@@ -238,7 +242,9 @@ impl GriddedSea {
         if !self.x.contains(x.x) || !self.y.contains(x.y) {
             return Err(DriftError::OutsideDomain { x: x.x, y: x.y });
         }
-        Ok([self.x.stencil(x.x), self.y.stencil(x.y), self.time.stencil(t)])
+        // Before the first time and after the last the sea is as it is then.
+        let held = t.clamp(self.time.start, self.time.end());
+        Ok([self.x.stencil(x.x), self.y.stencil(x.y), self.time.stencil(held)])
     }
 
     /// Rows of nodes under the stencils that carry weight, with their (y, time) places in them; the
@@ -403,6 +409,20 @@ mod tests {
             assert_eq!(told.starts_with(&refusal), !good, "{told}");
             assert_eq!(told.is_empty(), good, "{told}");
         }
+    }
+
+    /// The splines, continued, would grow with the cube of the time.
+    #[test]
+    fn before_and_after_its_times_a_sea_is_held() -> Result<(), DriftError> {
+        let (sea, x) = (sea()?, Vec2::new(0.31, 0.12));
+        let at = |t: f64| -> Result<Harmonics, DriftError> {
+            let mut out = Harmonics::default();
+            sea.harmonics(t, x, &mut out).map(|()| out)
+        };
+        for (end, beyond) in [(-1.0, -1e6), (1.0, 1e6)] {
+            assert_eq!(format!("{:?}", at(end)?), format!("{:?}", at(beyond)?));
+        }
+        Ok(())
     }
 
     #[test]
