@@ -63,8 +63,10 @@ impl MapGrid {
         }
         let sample_of_map = (times.iter())
             .map(|t| {
-                (samples.binary_search_by(|s| s.total_cmp(t)))
-                    .map_err(|_| DriftError::invalid("map time", t, "it is not among the samples"))
+                let place = samples.partition_point(|s| s < t);
+                (samples.get(place).filter(|s| *s == t).map(|_| place)).ok_or_else(|| {
+                    DriftError::invalid("map time", t, "it is not among the samples")
+                })
             })
             .collect::<Result<_, _>>()?;
         Ok(Self { x, y, times, samples, sample_of_map })
@@ -411,6 +413,7 @@ mod tests {
         let cells = Cells { start: 0.0, size: 1.0, count: 2 };
         let new = |x, times: &[f64]| MapGrid::new(x, cells, times.to_vec(), vec![0.0, 1.0]);
         assert!(new(cells, &[0.0, 1.0]).is_ok());
+        assert!(new(cells, &[-0.0, 1.0]).is_ok(), "a zero is a zero");
         assert!(new(cells, &[0.5]).is_err());
         assert!(new(cells, &[]).is_err());
         assert!(new(cells, &[1.0, 0.0]).is_err());
