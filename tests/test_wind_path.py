@@ -322,3 +322,14 @@ def test_times_of_a_path_are_times(times: list[str]) -> None:
     instants = np.array(times, dtype="datetime64[ns]")
     with pytest.raises(dc.ScenarioError, match="times: must be UTC times, at least 2, none"):
         dc.WindPath(instants, np.zeros((len(times), 2)))
+
+
+def test_a_start_that_members_share_and_nobody_has_is_told() -> None:
+    case = dc.paper.scenario()
+    tide = case.sea.tide.model_copy(update={"mean": 300.576})
+    fast = case.model_copy(update={"sea": case.sea.model_copy(update={"tide": tide})})
+    told = "the slow initial position did not converge"
+    with pytest.raises(dc.DriftCoreError, match=told):
+        dc.forecast(fast, members=3, steps_per_tide=8)
+    with pytest.warns(dc.DriftCoreWarning, match=f"3 of 3 members failed; .*{told}"):
+        dc.forecast(fast, members=3)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from driftcore.dataset import STATUSES
-from driftcore.errors import ScenarioError, warn
+from driftcore.errors import DriftCoreError, ScenarioError, warn
 from driftcore.memory import require_room
 
 Progress = Callable[[int, int], None]
@@ -86,6 +86,8 @@ def follow_in_chunks(
     ------
     ScenarioError
         The core refuses an argument.
+    DriftCoreError
+        What all members share cannot be worked out.
     """
     members, failure = len(fates.status), None
     for first in range(0, members, chunk):
@@ -94,6 +96,8 @@ def follow_in_chunks(
             failed = follow(rows, fates.rows(rows))
         except ValueError as error:
             raise ScenarioError(str(error)) from None
+        except RuntimeError as error:
+            raise DriftCoreError(str(error)) from None
         failure = failure or failed
         if progress is not None:
             progress(rows.stop, members)

@@ -29,6 +29,8 @@ const MAX_DIMENSION: usize = 2 * MAX_ORDER;
 /// After so many trials all rows are weighed instead. A trial accepts by the law of the weights
 /// whatever went before it, so the law stays exact.
 const MAX_TRIALS: usize = 200;
+/// Least sum of the bounds, of which the nearest is about 1 as a rule.
+const LEAST_TOTAL: f32 = 1e-18;
 /// A row whose weight relative to the nearest row's has a log below this counts as nothing.
 const NEGLIGIBLE: f64 = -36.0;
 
@@ -762,6 +764,10 @@ impl At<'_> {
             total += of_place;
             *sum = total;
         }
+        // All rows are so far that single precision does not tell their weights apart.
+        if total < LEAST_TOTAL {
+            return None;
+        }
         for _ in 0..MAX_TRIALS {
             // 24 bits choose the leaf, the other 40 the row in it.
             let bits: u64 = rng.random();
@@ -863,6 +869,12 @@ mod tests {
         let (of_tree, opened) = Leaves::new(&whitened, 4, 4096, true).trials(place, 0.05);
         assert!(of_tree < 2.0 * of_all, "{of_tree} {of_all}");
         assert!(4 * opened < all, "{opened} {all}");
+        // Where the nearest row is a thousand bandwidths away, none of them is drawn for another.
+        let tree = Leaves::new(&whitened, 4, 8192, true);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let aside: Vec<f64> = place.iter().map(|z| z + 0.01).collect();
+        let drawn = tree.draw(&aside, 1e-5, &mut rng, &mut Scratch::default());
+        assert!(drawn.is_none_or(|row| row == 100), "{drawn:?}");
         // The search ends even where the state is no number.
         let tree = Leaves::new(&whitened, 4, 4096, true);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
