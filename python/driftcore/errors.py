@@ -29,6 +29,25 @@ class DriftCoreWarning(UserWarning):
     """Something suspicious that does not stop the work."""
 
 
+@contextmanager
+def told_by_the_core() -> Iterator[None]:
+    """Raise what the core refuses, or cannot work out, as an error of driftcore.
+
+    Raises
+    ------
+    ScenarioError
+        The core refuses an argument.
+    DriftCoreError
+        The core cannot follow what was asked for.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
+    except RuntimeError as error:
+        raise DriftCoreError(str(error)) from None
+
+
 def warn(message: str, category: type[Warning] = DriftCoreWarning) -> None:
     """Warn whoever called the package, however deep within it the doubt arose."""
     level, frame = 2, sys._getframe(1)

@@ -23,7 +23,7 @@ from driftcore.dataset import (
     with_maps,
     with_targets,
 )
-from driftcore.errors import DriftCoreError, ScenarioError
+from driftcore.errors import ScenarioError, told_by_the_core
 from driftcore.geographic import GeographicScenario
 from driftcore.geographic_winds import core_path, winds_of
 from driftcore.grids import VectorGrid
@@ -79,12 +79,8 @@ def geographic_trajectory(
         else [core_path(scenario, path)]
     )
     fleet, _, _ = scenario.core_fleet(scenario.core_sea(), None, 0, 1, seed)
-    try:
+    with told_by_the_core():
         arrays, work = fleet.trajectory(wind, solver, instants)
-    except ValueError as error:
-        raise ScenarioError(str(error)) from None
-    except RuntimeError as error:
-        raise DriftCoreError(str(error)) from None
     variables: dict[str, Any] = {}
     labels = {"": arrays[0:2], "mean_": arrays[2:4]}
     for prefix, (position, velocity) in labels.items():

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from driftcore.dataset import STATUSES
-from driftcore.errors import DriftCoreError, ScenarioError, warn
+from driftcore.errors import ScenarioError, told_by_the_core, warn
 from driftcore.memory import require_room
 
 Progress = Callable[[int, int], None]
@@ -92,12 +92,8 @@ def follow_in_chunks(
     members, failure = len(fates.status), None
     for first in range(0, members, chunk):
         rows = slice(first, min(first + chunk, members))
-        try:
+        with told_by_the_core():
             failed = follow(rows, fates.rows(rows))
-        except ValueError as error:
-            raise ScenarioError(str(error)) from None
-        except RuntimeError as error:
-            raise DriftCoreError(str(error)) from None
         failure = failure or failed
         if progress is not None:
             progress(rows.stop, members)

@@ -242,7 +242,9 @@ class _Splitting:
         self.ends = scenario.duration * (np.arange(1, self.parts + 1) / self.parts)
         self.times = self.ends[:-1]
         self.branch = np.ceil(self.times / step - 1e-9).astype(np.int64)
-        self.importance: Importance | _Approach | None = importance
+        self.importance = importance
+        # Learned by the pilot run where no importance is given.
+        self.approach: _Approach | None = None
         self.named = 0
         self.followed = 0.0
         self.failure: str | None = None
@@ -291,10 +293,9 @@ class _Splitting:
         What is scored below `least` may be left at -inf.
         """
         count = len(past.known)
-        given = self.importance is not None and not isinstance(self.importance, _Approach)
-        fates = Fates.empty(count, count if given else 0, self.parts, len(self.areas))
+        kept = 0 if self.importance is None else count
+        fates = Fates.empty(count, kept, self.parts, len(self.areas))
         winds = (*self.winds.core, particles)
-        kept = len(fates.position)
         failure = self.compiled.run(
             winds, self.solver, 0, self.ends, kept, fates, self.threads, self.areas
         )
@@ -302,9 +303,10 @@ class _Splitting:
         self.failed.append(fates.status)
         self.followed += particles.followed()
         if self.importance is None:
-            self.importance = self._learned(particles.seen())
-        if isinstance(self.importance, _Approach):
-            self.importance.look(particles.seen(), past, least)
+            seen = particles.seen()
+            if self.approach is None:
+                self.approach = self._learned(seen)
+            self.approach.look(seen, past, least)
         else:
             later = np.arange(len(self.times)) >= past.known[:, None]
             past.positions[later] = fates.position[:, :-1][later]
@@ -327,11 +329,7 @@ class _Splitting:
     def nothing_known(self, particles: int) -> _Past:
         """Past of particles at the release."""
         # Positions are kept where an importance asks for them.
-        times = (
-            0
-            if self.importance is None or isinstance(self.importance, _Approach)
-            else (len(self.times))
-        )
+        times = 0 if self.importance is None else len(self.times)
         return _Past(
             np.full((particles, times, 2), np.nan),
             np.full((particles, self.parts), -np.inf),

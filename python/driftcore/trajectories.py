@@ -15,7 +15,7 @@ from driftcore.compiled import (
 )
 from driftcore.dataset import provenance, trajectory_dataset
 from driftcore.ensemble_winds import fitted_wind, member_path
-from driftcore.errors import DriftCoreError, ScenarioError
+from driftcore.errors import ScenarioError, told_by_the_core
 from driftcore.results import Forecast
 from driftcore.scenario import ModelName, RunConfiguration, Scenario
 from driftcore.wind import WindPath
@@ -95,12 +95,8 @@ def trajectory(
         scenario, model, order, window, wind_terms, formulation, rtol, atol, euler_step
     )
     compiled = scenario_core(scenario)
-    try:
+    with told_by_the_core():
         arrays, work = compiled.trajectory(path.core, solver, instants)
-    except ValueError as error:
-        raise ScenarioError(str(error)) from None
-    except RuntimeError as error:
-        raise DriftCoreError(str(error)) from None
     names = ("position", "velocity", "mean_position", "mean_velocity")
     found = {name: a for name, a in zip(names, arrays, strict=True) if len(a)}
     steps = zip(("steps", "rejected_steps", "evaluations"), work, strict=True)

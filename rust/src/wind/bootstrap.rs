@@ -402,42 +402,40 @@ struct Leaves {
 }
 
 impl Leaves {
-    /// As many leaves as make a draw cheapest, by the acceptance at some states of the catalogue;
-    /// under a tree where that is cheaper at the places that simulations come to.
+    /// As many leaves as make a draw cheapest at some states of the catalogue; under a tree where
+    /// that is cheaper at the states that simulations come to.
     fn cheapest(whitened: &[f64], d: usize, bandwidth: f64, visited: &[State]) -> Self {
         let n = whitened.len() / d;
-        let stride = (n / 64).max(1);
-        let of_catalogue = || whitened.chunks_exact(d).step_by(stride);
-        let counts = |most: usize| {
-            (ABREAST.ilog2()..).map(|k| 1 << k).take_while(move |k| *k <= most.max(ABREAST))
+        let of_catalogue: Vec<&[f64]> = whitened.chunks_exact(d).step_by((n / 64).max(1)).collect();
+        let visited: Vec<&[f64]> = visited.iter().map(|z| &z[..d]).collect();
+        let cost = |leaves: &Self, states: &[&[f64]], of_block: f64| -> f64 {
+            let costs = states.iter().map(|z| {
+                let (trials, blocks) = leaves.trials(z, bandwidth);
+                trials + of_block * blocks as f64
+            });
+            costs.sum()
         };
-        let mut best: Option<(f64, Self)> = None;
-        for count in counts(MAX_LEAVES.min(n / 2)) {
-            let leaves = Self::new(whitened, d, count, false);
-            let trials: f64 = of_catalogue().map(|z| leaves.trials(z, bandwidth).0).sum();
-            let cost = COST_OF_BOUND * count as f64 + trials / n.div_ceil(stride) as f64;
-            if best.as_ref().is_some_and(|(least, _)| *least <= cost) {
-                break;
+        // Twice as many leaves, until that is no cheaper.
+        let search = |tree: bool, most: usize, states: &[&[f64]], of_block: f64| {
+            let mut count = ABREAST;
+            let mut best = Self::new(whitened, d, count, tree);
+            let mut least = cost(&best, states, of_block);
+            while 2 * count <= most {
+                count *= 2;
+                let leaves = Self::new(whitened, d, count, tree);
+                let cost = cost(&leaves, states, of_block);
+                if least <= cost {
+                    break;
+                }
+                (least, best) = (cost, leaves);
             }
-            best = Some((cost, leaves));
-        }
-        let visited_cost = |leaves: &Self, per_block: f64| -> f64 {
-            let cost = |z: &State| {
-                let (trials, blocks) = leaves.trials(&z[..d], bandwidth);
-                trials + per_block * blocks as f64
-            };
-            visited.iter().map(cost).sum()
+            best
         };
-        let flat = best.map_or_else(Self::default, |(_, leaves)| leaves);
-        let mut best = (visited_cost(&flat, COST_OF_BOUND * ABREAST as f64), flat);
-        for count in counts(MAX_LEAVES_OF_TREE.min(2 * n)).skip(2) {
-            let tree = Self::new(whitened, d, count, true);
-            let cost = visited_cost(&tree, COST_OF_BLOCK);
-            if cost < best.0 {
-                best = (cost, tree);
-            }
-        }
-        best.1
+        let in_line = COST_OF_BOUND * ABREAST as f64;
+        let flat = search(false, MAX_LEAVES.min(n / 2), &of_catalogue, in_line);
+        let tree = search(true, MAX_LEAVES_OF_TREE.min(2 * n), &visited, COST_OF_BLOCK);
+        let cheaper = cost(&tree, &visited, COST_OF_BLOCK) < cost(&flat, &visited, in_line);
+        if cheaper { tree } else { flat }
     }
 
     /// Halves the rows until there are `count` parts, each at the median of its most varied
