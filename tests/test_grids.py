@@ -332,6 +332,13 @@ def test_times_are_put_in_order() -> None:
     assert "times were put in order" in grid.notes
 
 
+def test_no_times() -> None:
+    dataset = hycom().isel(time=slice(0))
+    for times in (dataset.time.values, np.array([], dtype=object)):
+        with pytest.raises(RecordError, match=r"time: 'time' of .* is empty"):
+            read_vector_grid(dataset.assign_coords(time=times), "current")
+
+
 def test_time_twice() -> None:
     with pytest.raises(RecordError, match="2020-06-01T06:00Z occurs more than once"):
         read_vector_grid(hycom().isel(time=[0, 1, 1, 2]), "current")

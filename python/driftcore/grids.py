@@ -642,6 +642,8 @@ class _Reader:
         variable = self.dataset[candidates[0]]
         dim = str(variable.dims[0]) if variable.ndim else None
         values = np.atleast_1d(variable.values)
+        if not values.size:
+            raise RecordError(f"time: {candidates[0]!r} of {self.name} is empty; it needs a time")
         times = values if values.dtype.kind == "M" else self._decoded(variable, values)
         if np.isnat(times).any():
             raise RecordError(
