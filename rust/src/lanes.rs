@@ -7,6 +7,8 @@
 
 use std::ops::{Add, AddAssign, Mul, Sub};
 
+use pulp::WithSimd;
+
 use crate::field::Vec2;
 
 /// Members followed side by side.
@@ -109,26 +111,9 @@ pub fn splat(value: Vec2) -> LaneVec2 {
     [Lanes::splat(value.x), Lanes::splat(value.y)]
 }
 
-/// Code that is compiled once for each instruction set; its method must be `inline(always)`.
-pub trait Kernel {
-    /// What it gives.
-    type Output;
-    /// The code itself.
-    fn run(self) -> Self::Output;
-}
-
-struct Dispatched<K>(K);
-
-impl<K: Kernel> pulp::WithSimd for Dispatched<K> {
-    type Output = K::Output;
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> K::Output {
-        self.0.run()
-    }
-}
-
-/// Runs a kernel with the widest instructions that this processor has.
+/// Runs a kernel, which is compiled once for each instruction set, with the widest instructions
+/// that this processor has. Its method and all that it calls must be `inline(always)`.
 #[inline]
-pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
-    pulp::Arch::new().dispatch(Dispatched(kernel))
+pub fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
+    pulp::Arch::new().dispatch(kernel)
 }

@@ -5,6 +5,7 @@
 //! (5), (8). As in [`super::full`] the integrator works on `P = X − Λ∬W`, so that only `∬W` enters.
 //! The sea's factors of time are worked out once for all lanes.
 
+use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 use nalgebra::Matrix2;
@@ -13,7 +14,7 @@ use super::{Formulation, Model, Piece, Problem, Reach, mean_drift};
 use crate::dopri5::{A, B, C, D, E, Step, powers};
 use crate::error::DriftError;
 use crate::field::{Harmonics, SeaField, Vec2};
-use crate::lanes::{Kernel, LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
+use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
 use crate::wind::lanes::{LaneWind, WindView};
 
 /// What carries the body in a model that steps side by side.
@@ -345,19 +346,19 @@ struct StepKernel<'a, F> {
 /// Gives back what the field noted as well.
 struct WithLost<'a>(StepKernel<'a, Anywhere<'a>>);
 
-impl Kernel for WithLost<'_> {
+impl WithSimd for WithLost<'_> {
     type Output = (Stepped, [bool; WIDTH]);
     #[inline(always)]
-    fn run(mut self) -> Self::Output {
+    fn with_simd<S: Simd>(mut self, _: S) -> Self::Output {
         let stepped = self.0.go();
         (stepped, self.0.field.lost)
     }
 }
 
-impl Kernel for StepKernel<'_, Linear<'_>> {
+impl WithSimd for StepKernel<'_, Linear<'_>> {
     type Output = Stepped;
     #[inline(always)]
-    fn run(mut self) -> Stepped {
+    fn with_simd<S: Simd>(mut self, _: S) -> Stepped {
         self.go()
     }
 }

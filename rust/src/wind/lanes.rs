@@ -2,13 +2,14 @@
 //! of all of them needs: equations.md (21), summed from knot to knot.
 
 use super::bootstrap::Scratch;
+use pulp::{Simd, WithSimd};
 use smallvec::SmallVec;
 
 use super::path::{WindPath, require_cover};
 use super::{Mark, MemberWind, Sampling, WindGenerator};
 use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
-use crate::lanes::{Kernel, LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
+use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
 
 /// Winds of an ensemble in memory, on common regular knots, [`WIDTH`] members to a block.
 #[derive(Debug, Clone)]
@@ -108,7 +109,7 @@ enum Source<'a> {
         excess: Vec<LaneVec2>,
         /// One member's knots of one synoptic step.
         knots: Vec<Vec2>,
-        scratch: Scratch,
+        scratch: Box<Scratch>,
     },
 }
 
@@ -198,7 +199,7 @@ impl<'a> LaneWind<'a> {
         members: impl IntoIterator<Item = Result<MemberWind, DriftError>>,
         sampling: Sampling,
     ) -> Result<Self, DriftError> {
-        let (mut knots, mut scratch) = (Vec::new(), Scratch::default());
+        let (mut knots, mut scratch) = (Vec::new(), Box::<Scratch>::default());
         let mut velocity = vec![[Lanes::ZERO; 2]];
         let members = (0..)
             .zip(members)
@@ -206,7 +207,8 @@ impl<'a> LaneWind<'a> {
                 let mut wind = member?;
                 for _ in wind.drawn()..generator.lead_in() {
                     knots.clear();
-                    generator.draw(&mut wind, sampling, &mut knots, &mut scratch);
+                    generator.draw(std::iter::once(&mut wind), &mut scratch);
+                    generator.fill(&mut wind, sampling, &mut knots);
                 }
                 set_lane(&mut velocity[0], place, wind.velocity());
                 Ok(wind)
@@ -303,10 +305,13 @@ impl<'a> LaneWind<'a> {
             if *sampling == Sampling::Coarse {
                 excess.resize(first + 1, [Lanes::ZERO; 2]);
             }
+            let drawn = members.iter_mut().zip(wanted);
+            let drawn = drawn.filter_map(|(member, wanted)| wanted.then_some(member));
+            generator.draw(drawn, scratch);
             for (place, member) in members.iter_mut().enumerate().filter(|(k, _)| wanted[*k]) {
                 knots.clear();
                 let now = member.velocity();
-                let integral = generator.draw(member, *sampling, knots, scratch);
+                let integral = generator.fill(member, *sampling, knots);
                 let next = member.velocity();
                 knots.push(next);
                 for (knot, value) in velocity[first + 1..].iter_mut().zip(&knots[1..]) {
@@ -378,10 +383,10 @@ struct SeenKernel<'a> {
     onto: LaneVec2,
 }
 
-impl Kernel for SeenKernel<'_> {
+impl WithSimd for SeenKernel<'_> {
     type Output = [LaneVec2; 3];
     #[inline(always)]
-    fn run(self) -> Self::Output {
+    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
         let Self { wind, t, factor, onto } = self;
         let mut walk = wind.walk();
         let single = walk.integral(t);

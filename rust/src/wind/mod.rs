@@ -5,12 +5,15 @@
 //! streams, each read in the order of time. A [`Lineage`] goes over to the streams of other members
 //! on its way: what it shares with another up to there, and nothing after, is its past.
 
+mod abreast;
 pub mod bootstrap;
+mod columns;
 pub mod fields;
 pub mod hand_over;
 pub mod lanes;
 pub mod path;
 pub mod small_scale;
+mod tree;
 
 use std::iter::Peekable;
 use std::sync::Arc;
@@ -230,16 +233,31 @@ impl Synoptic {
         Ok(Self { chain, rng, member, handed: 1, error })
     }
 
-    fn advance(&mut self, bootstrap: &Bootstrap, beginning: &Beginning, scratch: &mut Scratch) {
-        match &beginning.hand_over {
-            Some(hand_over) if self.handed < hand_over.steps() => {
-                self.error = hand_over.advance(self.error, &mut self.rng);
-                let anomaly = hand_over.anomaly(self.member, self.handed, self.error);
-                bootstrap.hand(&mut self.chain, anomaly);
-                self.handed += 1;
-            }
-            _ => bootstrap.advance(&mut self.chain, &mut self.rng, scratch),
-        }
+    /// Takes the next step if that is handed over; whether it was.
+    fn hand(&mut self, bootstrap: &Bootstrap, beginning: &Beginning) -> bool {
+        let of = beginning.hand_over.as_ref();
+        let Some(hand_over) = of.filter(|hand_over| self.handed < hand_over.steps()) else {
+            return false;
+        };
+        self.error = hand_over.advance(self.error, &mut self.rng);
+        let anomaly = hand_over.anomaly(self.member, self.handed, self.error);
+        bootstrap.hand(&mut self.chain, anomaly);
+        self.handed += 1;
+        true
+    }
+
+    /// Moves several winds by one step of the record.
+    fn advance<'a>(
+        winds: impl Iterator<Item = &'a mut Self>,
+        bootstrap: &Bootstrap,
+        beginning: &Beginning,
+        scratch: &mut Scratch,
+    ) {
+        let drawn = winds.filter_map(|wind| {
+            let handed = wind.hand(bootstrap, beginning);
+            (!handed).then_some((&mut wind.chain, &mut wind.rng))
+        });
+        bootstrap.advance(drawn, scratch);
     }
 }
 
@@ -355,26 +373,36 @@ impl WindGenerator {
         (self.step / substeps as f64, substeps)
     }
 
-    /// Draws one synoptic step: the wind at its knots but the last goes to `knots`, and for coarse
-    /// sampling the integral over the step is returned.
-    pub(crate) fn draw(
+    /// Draws the synoptic part of one step of several winds, each of which is to be filled then.
+    pub(crate) fn draw<'a>(
+        &self,
+        winds: impl Iterator<Item = &'a mut MemberWind>,
+        scratch: &mut Scratch,
+    ) {
+        let synoptic = winds.map(|wind| {
+            let branches = &mut wind.branches;
+            while let Some((_, member)) =
+                branches.next_if(|(step, _)| self.lead_in + *step <= wind.drawn)
+            {
+                wind.synoptic.rng = stream(wind.seed, member, Stream::Synoptic);
+                wind.coarse = stream(wind.seed, member, Stream::SmallScale);
+                wind.fine = stream(wind.seed, member, Stream::FinePath);
+            }
+            wind.drawn += 1;
+            &mut wind.synoptic
+        });
+        Synoptic::advance(synoptic, &self.bootstrap, &self.beginning, scratch);
+    }
+
+    /// Draws the small scale of the step that was drawn: the wind at its knots but the last goes to
+    /// `knots`, and for coarse sampling the integral over the step is returned.
+    pub(crate) fn fill(
         &self,
         wind: &mut MemberWind,
         sampling: Sampling,
         knots: &mut Vec<Vec2>,
-        scratch: &mut Scratch,
     ) -> Vec2 {
-        let branches = &mut wind.branches;
-        while let Some((_, member)) =
-            branches.next_if(|(step, _)| self.lead_in + *step <= wind.drawn)
-        {
-            wind.synoptic.rng = stream(wind.seed, member, Stream::Synoptic);
-            wind.coarse = stream(wind.seed, member, Stream::SmallScale);
-            wind.fine = stream(wind.seed, member, Stream::FinePath);
-        }
-        wind.drawn += 1;
         let (slow, fast) = (wind.slow, wind.fast);
-        wind.synoptic.advance(&self.bootstrap, &self.beginning, scratch);
         wind.slow = self.bootstrap.wind(&wind.synoptic.chain) / self.unit;
         let (fast_next, fast_integral) = self.small_scale.advance(fast, &mut wind.coarse);
         wind.fast = fast_next;
@@ -416,7 +444,10 @@ impl WindGenerator {
         let mut velocity = room("wind path", steps * substeps + 1)?;
         let mut scratch = Scratch::default();
         let integrals: Vec<Vec2> = (0..steps)
-            .map(|_| self.draw(&mut wind, sampling, &mut velocity, &mut scratch))
+            .map(|_| {
+                self.draw(std::iter::once(&mut wind), &mut scratch);
+                self.fill(&mut wind, sampling, &mut velocity)
+            })
             .collect();
         velocity.push(wind.velocity());
         match sampling {
@@ -484,6 +515,9 @@ impl MemberWind {
     }
 }
 
+/// Members sampled together.
+const SIDE_BY_SIDE: u64 = 16;
+
 /// The synoptic part alone, in m/s: what [`WindGenerator::path`] draws for these members.
 pub fn sample(
     bootstrap: &Bootstrap,
@@ -496,16 +530,26 @@ pub fn sample(
     let count = product("members", &[(members.end - members.start) as usize, steps])?;
     let mut sample =
         SynopticSample { wind: room("members", count)?, predecessor: room("members", count)? };
+    sample.wind.resize(count, Vec2::zeros());
+    sample.predecessor.resize(count, None);
     let mut scratch = Scratch::default();
-    for member in members {
-        let mut synoptic = Synoptic::start(bootstrap, beginning, seed, member)?;
+    let mut first = 0;
+    while first < members.end - members.start {
+        let group = first..(first + SIDE_BY_SIDE).min(members.end - members.start);
+        let mut winds = (group.clone())
+            .map(|number| Synoptic::start(bootstrap, beginning, seed, members.start + number))
+            .collect::<Result<Vec<_>, _>>()?;
         for step in 0..steps {
             if step > 0 {
-                synoptic.advance(bootstrap, beginning, &mut scratch);
+                Synoptic::advance(winds.iter_mut(), bootstrap, beginning, &mut scratch);
             }
-            sample.wind.push(bootstrap.wind(&synoptic.chain));
-            sample.predecessor.push(synoptic.chain.predecessor());
+            for (number, Synoptic { chain, .. }) in group.clone().zip(&winds) {
+                let at = number as usize * steps + step;
+                sample.wind[at] = bootstrap.wind(chain);
+                sample.predecessor[at] = chain.predecessor();
+            }
         }
+        first = group.end;
     }
     Ok(sample)
 }
