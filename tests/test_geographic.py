@@ -522,3 +522,15 @@ def test_averaging_changes_a_bay_of_biscay_drift_by_less_than_its_order(
     assert 20 < ashore.sum() < 95
     apart = np.abs((averaged["stranding_time"] - full["stranding_time"]).values[ashore]) / HOUR
     assert np.median(apart) < 1
+
+
+def test_times_beyond_nanoseconds() -> None:
+    far = np.datetime64("2300-01-01", "us")
+    with pytest.raises(dc.ScenarioError, match="times: 2300-01-01 is not accepted"):
+        dc.WindPath([START.astype("datetime64[us]"), far], [(0, 0), (1, 0)])
+    release = dc.Release(coordinates=(-5, 48.5), start="2300-01-01T00:00Z")
+    with pytest.raises(dc.ScenarioError, match="release: 2300-01-01 is not accepted"):
+        dc.GeographicScenario(release, 10, WATER)
+    release = dc.Release(coordinates=(-5, 48.5), start="2261-12-01T00:00Z")
+    with pytest.raises(dc.ScenarioError, match="days: 2262-01-10 is not accepted"):
+        dc.GeographicScenario(release, 40, WATER)

@@ -339,6 +339,19 @@ def test_no_times() -> None:
             read_vector_grid(dataset.assign_coords(time=times), "current")
 
 
+@pytest.mark.parametrize("far", ["2270-07-25", "1600-01-01"])
+def test_times_beyond_nanoseconds(far: str) -> None:
+    times = np.array(TIMES, dtype="datetime64[us]")
+    times[3] = np.datetime64(far)
+    counted = (times - times[0]) / np.timedelta64(1, "h")
+    attributes = {"units": "hours since 2020-06-01"}
+    for values in (times, ("time", counted, attributes), list(times.astype(object))):
+        with pytest.raises(RecordError, match=f"time: {far} is not accepted"):
+            read_vector_grid(hycom().assign_coords(time=values), "current")
+    with pytest.raises(RecordError, match=f"period: {far} is not accepted"):
+        read_vector_grid(hycom(), "current", period=tuple(sorted([far, "2020-06-01"])))
+
+
 def test_time_twice() -> None:
     with pytest.raises(RecordError, match="2020-06-01T06:00Z occurs more than once"):
         read_vector_grid(hycom().isel(time=[0, 1, 1, 2]), "current")

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from driftcore.earth import RADIUS_M
 from driftcore.errors import RecordError
 from driftcore.grids import GridSource, Period, Region, VectorGrid, read_vector_grid
-from driftcore.record import Float, Times
+from driftcore.record import Float
+from driftcore.times import Times
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

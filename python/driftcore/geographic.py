@@ -13,6 +13,7 @@ from driftcore.earth import RADIUS_M
 from driftcore.errors import ScenarioError, warn
 from driftcore.objects import FloatingBody, Leeway
 from driftcore.releases import Release, Releases
+from driftcore.times import nanoseconds
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -126,6 +127,8 @@ class GeographicScenario:
                 f"wind_current: {self.wind_current!r} is not accepted; a share of the wind from 0 "
                 "to below 1, and an angle in degrees"
             )
+        # Refused where it has no such time.
+        _ = self.end
         places = self._relative(self._some_places)
         west, east, south, north = self.domain
         outside = (
@@ -180,7 +183,9 @@ class GeographicScenario:
     @cached_property
     def start(self) -> np.datetime64:
         """Earliest release, UTC."""
-        return min(np.datetime64(r.start.replace(tzinfo=None), "ns") for r in self._releases)
+        starts = [np.datetime64(r.start.replace(tzinfo=None), "us") for r in self._releases]
+        earliest: np.datetime64 = nanoseconds("release", starts).min()
+        return earliest
 
     @cached_property
     def origin(self) -> np.datetime64:
@@ -192,7 +197,7 @@ class GeographicScenario:
     def end(self) -> np.datetime64:
         """End of the run, UTC."""
         length = np.timedelta64(round(self.days * 86_400e6), "us")
-        end: np.datetime64 = self.start + length
+        end: np.datetime64 = nanoseconds("days", self.start.astype("datetime64[us]") + length).max()
         return end
 
     @cached_property

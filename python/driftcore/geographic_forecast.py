@@ -43,6 +43,7 @@ from driftcore.precision import until_precise
 from driftcore.results import Forecast, time_quantiles
 from driftcore.scenario import ModelName, Polygons
 from driftcore.statistics import Probability, probability, wilson
+from driftcore.times import Times, nanoseconds
 from driftcore.wind import WindPath
 
 if TYPE_CHECKING:
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
     from driftcore.geographic_winds import GeographicWind
 
 Floats = NDArray[np.float64]
-Times = NDArray[np.datetime64]
 _OUTPUTS_H = 3.0
 
 
@@ -370,7 +370,7 @@ def _utc(name: str, times: Any) -> Times:
         raise ScenarioError(f"{name}: must be UTC times, datetime64") from None
     if instants.isna().any():
         raise ScenarioError(f"{name}: must be UTC times, datetime64")
-    return np.asarray(instants.to_numpy("datetime64[ns]"))
+    return nanoseconds(name, instants.to_numpy())
 
 
 def _instants(scenario: GeographicScenario, times: ArrayLike) -> Floats:

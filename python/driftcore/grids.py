@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from driftcore.errors import RecordError, reading
-from driftcore.netcdf import open_netcdf
-from driftcore.record import Float, Integer, Times, listed
+from driftcore.netcdf import coder_of_times, open_netcdf
+from driftcore.record import Float, Integer, listed
+from driftcore.times import Times, nanoseconds
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -651,9 +652,8 @@ class _Reader:
                 f"dataset.dropna({dim!r})"
             )
         # Days counted in floating point are a rounding error off the full second.
-        seconds = (times.astype("datetime64[ns]") + np.timedelta64(500, "ms")).astype(
-            "datetime64[s]"
-        )
+        half = np.timedelta64(500, "ms")
+        seconds = (nanoseconds("time", times, RecordError) + half).astype("datetime64[s]")
         return dim, seconds.astype("datetime64[ns]")
 
     def _decoded(self, variable: xr.DataArray, values: NDArray[np.generic]) -> Times:
@@ -667,7 +667,7 @@ class _Reader:
             if getattr(values[0], "tzinfo", None) is not None:
                 self.notes.append(f"times converted from {values[0].tzinfo} to UTC")
             parsed = pd.to_datetime(stamps, utc=True).tz_localize(None)
-            return np.asarray(parsed.to_numpy(), "datetime64[ns]")
+            return np.asarray(parsed.to_numpy(), "datetime64[us]")
         units = _units_of(variable)
         if "since" not in units.lower():
             raise RecordError(
@@ -693,13 +693,13 @@ class _Reader:
             self.notes.append(f"times converted from UTC{offset} to UTC")
         plain = xr.Variable(("t",), values, {"units": re.sub(r"(?i)\s*(UTC|GMT)\s*$", "", units)})
         try:
-            decoded = xr.decode_cf(xr.Dataset({"t": plain}))["t"].values
+            decoded = xr.decode_cf(xr.Dataset({"t": plain}), decode_times=coder_of_times())
         except (ValueError, OverflowError) as error:
             reason = str(error).splitlines()[0]
             raise RecordError(
                 f"time: units {units!r} of {variable.name!r} cannot be decoded: {reason}"
             ) from error
-        return np.asarray(decoded, "datetime64[ns]")
+        return np.asarray(decoded["t"].values, "datetime64[us]")
 
     def _require_calendar(self, calendar: str) -> None:
         if calendar.strip().lower() not in _CALENDARS:
@@ -766,12 +766,12 @@ def _checked_period(period: Period) -> tuple[np.datetime64, np.datetime64]:
         first, last = (np.datetime64(time) for time in period)
         # A last day or month is meant to its end.
         if np.datetime_data(last)[0] in ("Y", "M", "D"):
-            last = (last + 1).astype("datetime64[ns]") - np.timedelta64(1, "ns")
+            last = (last + 1).astype("datetime64[us]") - np.timedelta64(1, "us")
     except (TypeError, ValueError) as error:
         raise RecordError(
             f"period: {period!r} is not accepted; give two UTC dates, ('2024-06-01', '2024-08-31')"
         ) from error
-    first, last = first.astype("datetime64[ns]"), last.astype("datetime64[ns]")
+    first, last = nanoseconds("period", [first, last], RecordError)
     if not first <= last:
         raise RecordError(f"period: {period!r} is not accepted; the first must not be later")
     return first, last

@@ -18,13 +18,13 @@ from driftcore.grids import VectorGrid
 from driftcore.record import (
     Float,
     Source,
-    Times,
     WindRecord,
     mean_cycle,
     phase_of_day,
     read_file,
     read_record,
 )
+from driftcore.times import Times
 from driftcore.wind import LocalGridBootstrap, _real, _whitener, _whole
 
 if TYPE_CHECKING:

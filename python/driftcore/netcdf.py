@@ -44,6 +44,13 @@ def refuse_endless(path: Path) -> None:
             heap = data.find(_HEAP, heap + 4)
 
 
+def coder_of_times() -> xr.coders.CFDatetimeCoder:
+    """Give what decodes times in microseconds; nanoseconds would wrap far ones around."""
+    import xarray as xr
+
+    return xr.coders.CFDatetimeCoder(time_unit="us")
+
+
 def open_netcdf(path: Path, *, decode_times: bool = True) -> xr.Dataset:
     """Open a file lazily: NetCDF-4 by h5netcdf, NetCDF-3 by scipy.
 
@@ -84,4 +91,5 @@ def open_netcdf(path: Path, *, decode_times: bool = True) -> xr.Dataset:
                 f"source: {str(path)!r} is a NetCDF-3 file, which needs scipy: "
                 'pip install "driftcore[geo]"; or convert it: nccopy -k nc4 in.nc out.nc'
             ) from None
-    return xr.open_dataset(path, engine=engine, decode_times=decode_times)
+    times = coder_of_times() if decode_times else False
+    return xr.open_dataset(path, engine=engine, decode_times=times)

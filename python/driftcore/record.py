@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from driftcore.errors import RecordError, reading, warn
 from driftcore.netcdf import open_netcdf
+from driftcore.times import Times
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 Float: TypeAlias = NDArray[np.float64]
 Integer: TypeAlias = NDArray[np.int64]
-Times: TypeAlias = NDArray[np.datetime64]
 Source: TypeAlias = "str | PathLike[str] | pd.DataFrame | xr.Dataset"
 Gaps = Literal["error", "segment"]
 

@@ -15,13 +15,13 @@ from driftcore.coast import geodesic, near_longitude, place_name
 from driftcore.configuration import Configuration
 from driftcore.draws import Stream, member_uniforms
 from driftcore.errors import ScenarioError, need_geo
+from driftcore.times import Times
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 Float = NDArray[np.float64]
 Integer = NDArray[np.int64]
-Times = NDArray[np.datetime64]
 Kind = Literal["point", "line", "polygon"]
 Position = tuple[Annotated[float, Field(ge=-360, le=360)], Annotated[float, Field(ge=-90, le=90)]]
 

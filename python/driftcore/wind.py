@@ -31,6 +31,7 @@ from driftcore.record import (
     read_record,
     rows_with_successor,
 )
+from driftcore.times import nanoseconds
 
 Single: TypeAlias = NDArray[np.float32]
 Mode = Literal["residual", "lgb"]
@@ -412,9 +413,9 @@ class WindPath:
     def __init__(self, times: ArrayLike, velocity: ArrayLike) -> None:
         self.instants = None
         if np.issubdtype(np.asarray(times).dtype, np.datetime64):
-            self.instants = np.asarray(times, dtype="datetime64[ns]")
-            if np.isnat(self.instants).any() or not self.instants.size:
+            if np.isnat(times).any() or not np.size(times):
                 raise ScenarioError("times: must be UTC times, at least 2, none of them missing")
+            self.instants = nanoseconds("times", times)
             times = (self.instants - self.instants.flat[0]) / np.timedelta64(1, "D")
         self.times = _real_array("times", times)
         self.velocity = _real_array("velocity", velocity)
