@@ -58,10 +58,8 @@ impl SeparableCurrent {
         let size = self.strength(t).0 * x[self.axis];
         (1..)
             .zip(&self.sines)
-            .map(|(j, s)| {
-                let omega = f64::from(j) * omega;
-                s * -size * (1.0 / omega) * (omega * t).cos()
-            })
+            .zip(super::phasors(omega * t))
+            .map(|((j, s), phasor)| s * (-size / (f64::from(j) * omega)) * phasor.re)
             .sum()
     }
 

@@ -1,22 +1,19 @@
 //! Draws of catalogue rows where many of them have weight: in two stages, for several states at
 //! once.
 //!
-//! A whitened state is `(u, v)`: `v` its last two components, `u` the others. In units of
-//! `h √(2 ln 2)` the kernel of two states a distance `r` apart is `2^(−r²)`, the product of one in
-//! `u` and one in `v`. The rows are parted into columns, each a box of `u`, and
-//! the weight of a column is bounded by the product of
+//! In units of `h √(2 ln 2)` the kernel of two whitened states a distance `r` apart is `2^(−r²)`. A
+//! state is `(u, v)`: `v` its last two components, `u` the others, and the kernel the product of
+//! one in `u` and one in `v`. The rows are parted into columns, each a box of `u`, and the weight
+//! of a column is bounded by the product of
 //!
 //! * the kernel from `u` to its box, and
-//! * the sum of the kernels from `v` to its rows. At the nodes of a lattice that sum is known.
-//!   Between nodes its logarithm is below the bilinear interpolation of theirs and
-//!   `s²f(1 − f)` for each component (spacing `s`, place `f` between two nodes), for the sum is
-//!   `2^(−|v|²)` times one of powers with exponents linear in `v`, the logarithm of which is convex. Beyond the lattice, which spans the rows, all kernels are below those at its
-//!   nearest point times the kernel from there.
+//! * the sum of the kernels from `v` to its rows. At the nodes of a lattice that sum is known. Its
+//!   logarithm, plus `|v|²`, is convex and so, between nodes, below the bilinear interpolation.
+//!   Beyond the lattice, which spans the rows, all kernels are below those from its nearest point
+//!   times the kernel from there.
 //!
 //! A column is drawn by its bound. Then one of its rows is drawn by their weights, or none by what
-//! the bound is above their sum, and the next trial begins. So the law is that of the weights, in
-//! single precision. States are looked at in turn, and no step depends on what a trial brought, so
-//! that the processor works at several of them at the same time.
+//! the bound is above their sum, and the next trial begins: docs/equations.md (20).
 
 use std::ops::Range;
 
@@ -293,79 +290,43 @@ impl<R: Rng> Draw<'_, '_, R> {
             waiting[count] = number;
             count += usize::from(looks[number].upto[ABREAST - 1] >= LEAST_TOTAL);
         }
-        let mut slots = [None; ABREAST];
+        let mut slots = [usize::MAX; ABREAST];
         let mut trials = [Trial::default(); ABREAST];
         let mut weights = [[Abreast::splat(0.0); DEPTH]; ABREAST];
         for _ in 0..MAX_TRIALS {
             if count == 0 {
                 break;
             }
-            // Each step is taken for all that wait before the next: those that the processor can
-            // take at the same time must be close together.
+            // Each step is taken for all that wait before the next is, and none depends on what
+            // was drawn: the processor takes several at the same time.
             let waits = &waiting[..count];
             for (trial, number) in trials.iter_mut().zip(waits) {
-                let look = &looks[*number];
-                // 24 bits choose the column, the other 40 the row in it.
-                let bits: u64 = rngs[*number].random();
-                let at = (bits >> 40) as u32 as f32 / (1_u64 << 24) as f32 * look.upto[ABREAST - 1];
-                trial.place = look.upto.first_above(simd, at).min(ABREAST - 1);
-                trial.inside = at - look.before[trial.place];
-                trial.share = (bits & 0xff_ffff_ffff) as f32 / (1_u64 << 40) as f32;
+                *trial = Trial::begin(simd, &looks[*number], rngs[*number].random());
             }
             for (trial, number) in trials.iter_mut().zip(waits) {
-                let sums = &sums[number * room + 1..][..columns.blocks];
-                let (place, inside) = (trial.place, trial.inside);
-                trial.block = sums.partition_point(|sum| sum[place] <= inside);
+                trial.find_block(&sums[number * room..][..room]);
             }
-            for ((trial, number), weights) in trials.iter_mut().zip(waits).zip(&mut weights) {
-                let look = &looks[*number];
-                trial.block = trial.block.min(columns.blocks - 1);
-                let sums = &sums[number * room + trial.block..][..2];
-                // What the column was drawn with, rounding included.
-                trial.share *= sums[1][trial.place] - sums[0][trial.place];
-                let column = trial.block * ABREAST + trial.place;
-                let states = &columns.states[column * DEPTH * d..][..DEPTH * d];
-                for (weights, states) in weights.iter_mut().zip(states.chunks_exact(d)) {
-                    let mut log2 = Abreast::splat(look.shift);
-                    for (of, z) in states.iter().zip(&look.place) {
-                        log2 = Abreast::of(|k| (-(of[k] - z)).mul_add(of[k] - z, log2[k]));
-                    }
-                    *weights = log2;
-                }
+            for ((trial, number), weights) in trials.iter().zip(waits).zip(&mut weights) {
+                *weights = columns.exponents(trial, &looks[*number], d);
             }
-            for weights in &mut weights[..count] {
-                for weights in weights {
-                    *weights = Abreast::of(|k| power(weights[k]));
-                }
+            for weights in weights[..count].iter_mut().flatten() {
+                *weights = Abreast::of(|k| power(weights[k]));
             }
             let mut left = 0;
             for at in 0..count {
-                let (trial, number, weights) = (&trials[at], waiting[at], &weights[at]);
-                let mut sum = weights[0];
-                for weights in &weights[1..] {
-                    sum = Abreast::of(|k| sum[k] + weights[k]);
-                }
-                let upto = sum.running(simd);
-                let found = upto.first_above(simd, trial.share);
-                let place = found.min(ABREAST - 1);
-                let mut rest = trial.share - upto.before(simd)[place];
-                let mut depth = 0;
-                for weights in &weights[..DEPTH - 1] {
-                    rest -= weights[place];
-                    depth += usize::from(rest >= 0.0);
-                }
-                let column = trial.block * ABREAST + trial.place;
-                slots[number] = Some((column * DEPTH + depth) * ABREAST + place);
+                let number = waiting[at];
+                let row = trials[at].row(simd, &weights[at]);
+                slots[number] = trials[at].column() * DEPTH * ABREAST + row.unwrap_or(0);
                 waiting[left] = number;
-                left += usize::from(found == ABREAST);
+                left += usize::from(row.is_none());
             }
             count = left;
         }
         for number in &waiting[..count] {
-            slots[*number] = None;
+            slots[*number] = usize::MAX;
         }
         for (drawn, slot) in drawn.iter_mut().zip(slots) {
-            *drawn = slot.map(|slot: usize| columns.rows[slot] as usize);
+            *drawn = columns.rows.get(slot).map(|row| *row as usize);
         }
     }
 }
@@ -373,13 +334,57 @@ impl<R: Rng> Draw<'_, '_, R> {
 /// A trial to draw a row.
 #[derive(Clone, Copy, Default)]
 struct Trial {
-    /// The column that is drawn.
+    /// Where the column is that is drawn.
     block: usize,
     place: usize,
-    /// What of the sums remains for it.
+    /// What of the sums over the blocks is left for it.
     inside: f32,
-    /// What of the weights of its rows the row is drawn by.
-    share: f32,
+    /// What of its bound draws the row; at first the share of it.
+    left: f32,
+}
+
+impl Trial {
+    /// 24 random bits choose the column, the other 40 the row in it.
+    #[inline(always)]
+    fn begin<S: Simd>(simd: S, look: &Look, bits: u64) -> Self {
+        let share = (bits >> 40) as u32 as f32 / (1_u64 << 24) as f32;
+        let at = share * look.upto[ABREAST - 1];
+        let place = look.upto.first_above(simd, at).min(ABREAST - 1);
+        let left = (bits & 0xff_ffff_ffff) as f32 / (1_u64 << 40) as f32;
+        Self { block: 0, place, inside: at - look.before[place], left }
+    }
+
+    #[inline(always)]
+    fn find_block(&mut self, sums: &[Abreast]) {
+        let (place, inside, last) = (self.place, self.inside, sums.len() - 2);
+        self.block = sums[1..].partition_point(|sum| sum[place] <= inside).min(last);
+        // What the column was drawn with, rounding included.
+        self.left *= sums[self.block + 1][place] - sums[self.block][place];
+    }
+
+    #[inline(always)]
+    fn column(&self) -> usize {
+        self.block * ABREAST + self.place
+    }
+
+    /// The row that is drawn, counted in its column.
+    #[inline(always)]
+    fn row<S: Simd>(&self, simd: S, weights: &[Abreast; DEPTH]) -> Option<usize> {
+        let mut sum = weights[0];
+        for weights in &weights[1..] {
+            sum = Abreast::of(|k| sum[k] + weights[k]);
+        }
+        let upto = sum.running(simd);
+        let found = upto.first_above(simd, self.left);
+        let place = found.min(ABREAST - 1);
+        let mut left = self.left - upto.before(simd)[place];
+        let mut depth = 0;
+        for weights in &weights[..DEPTH - 1] {
+            left -= weights[place];
+            depth += usize::from(left >= 0.0);
+        }
+        (found < ABREAST).then_some(depth * ABREAST + place)
+    }
 }
 
 impl Columns {
@@ -429,6 +434,21 @@ impl Columns {
         }
         let upto = totals.running(simd);
         Look { place, shift, before: upto.before(simd), upto }
+    }
+
+    /// Binary logarithms of the weights of a column's rows.
+    #[inline(always)]
+    fn exponents(&self, trial: &Trial, look: &Look, d: usize) -> [Abreast; DEPTH] {
+        let mut exponents = [Abreast::splat(look.shift); DEPTH];
+        let states = &self.states[trial.column() * DEPTH * d..][..DEPTH * d];
+        for (exponents, states) in exponents.iter_mut().zip(states.chunks_exact(d)) {
+            let mut log2 = *exponents;
+            for (of, z) in states.iter().zip(&look.place) {
+                log2 = Abreast::of(|k| (-(of[k] - z)).mul_add(of[k] - z, log2[k]));
+            }
+            *exponents = log2;
+        }
+        exponents
     }
 }
 
@@ -500,32 +520,39 @@ mod tests {
         Ok(())
     }
 
-    /// What is drawn at a state does not depend on the others, nor on how many there are.
+    /// What is drawn at a state does not depend on the others, nor on how many there are, nor on the
+    /// instruction set.
     #[test]
     fn states_are_on_their_own() -> Result<(), &'static str> {
         let whitened = states(700, 4);
-        let columns = Columns::new(&whitened, 4, 0.3).ok_or("too many nodes")?;
-        let mut side_by_side = [[0.0; ABREAST]; 4];
-        for (k, component) in side_by_side.iter_mut().enumerate() {
-            *component = std::array::from_fn(|at| whitened[4 * (40 * at) + k] + 0.1);
-        }
-        let draw = |places: &[usize]| {
-            let of = side_by_side.map(|component| {
-                std::array::from_fn(|at| component[places[at.min(places.len() - 1)]])
-            });
+        let columns = &Columns::new(&whitened, 4, 0.3).ok_or("too many nodes")?;
+        let places: Vec<[f64; ABREAST]> =
+            (0..4).map(|k| std::array::from_fn(|at| whitened[4 * (40 * at) + k] + 0.1)).collect();
+        let draw = |chosen: &[usize], wide: bool| {
+            let of = |component: &[f64; ABREAST]| {
+                std::array::from_fn(|at| component[chosen[at.min(chosen.len() - 1)]])
+            };
+            let states: Vec<[f64; ABREAST]> = places.iter().map(of).collect();
             let seeded = |at: &usize| ChaCha8Rng::seed_from_u64(*at as u64);
-            let mut rngs: Vec<ChaCha8Rng> = places.iter().map(seeded).collect();
-            let mut drawn = [None; ABREAST];
-            let mut scratch = Scratch::default();
-            columns.draw(&of, &mut rngs.iter_mut().collect::<Vec<_>>(), &mut scratch, &mut drawn);
+            let mut rngs: Vec<ChaCha8Rng> = chosen.iter().map(seeded).collect();
+            let rngs_of: &mut [&mut ChaCha8Rng] = &mut rngs.iter_mut().collect::<Vec<_>>();
+            let (scratch, drawn) = (&mut Scratch::default(), &mut [None; ABREAST]);
+            if wide {
+                columns.draw(&states, rngs_of, scratch, drawn);
+            } else {
+                let draw = Draw { columns, states: &states, rngs: rngs_of, scratch, drawn };
+                draw.with_simd(pulp::Scalar::new());
+            }
             let next: Vec<u64> = rngs.iter_mut().map(|rng| rng.random()).collect();
-            (drawn, next)
+            (*drawn, next)
         };
-        let (all, next) = draw(&std::array::from_fn::<_, ABREAST, _>(|at| at));
-        for at in 0..ABREAST {
-            assert!(all[at].is_some());
-            let (alone, next_alone) = draw(&[at]);
-            assert_eq!((alone[0], next_alone[0]), (all[at], next[at]));
+        let all = std::array::from_fn::<_, ABREAST, _>(|at| at);
+        let (drawn, next) = draw(&all, true);
+        assert_eq!(draw(&all, false), (drawn, next.clone()));
+        for at in all {
+            assert!(drawn[at].is_some());
+            let (alone, next_alone) = draw(&[at], true);
+            assert_eq!((alone[0], next_alone[0]), (drawn[at], next[at]));
         }
         Ok(())
     }

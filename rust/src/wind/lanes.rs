@@ -200,20 +200,20 @@ impl<'a> LaneWind<'a> {
         sampling: Sampling,
     ) -> Result<Self, DriftError> {
         let (mut knots, mut scratch) = (Vec::new(), Box::<Scratch>::default());
+        let mut members: Vec<MemberWind> = members.into_iter().collect::<Result<_, _>>()?;
+        for drawn in 0..generator.lead_in() {
+            let behind = |wind: &&mut MemberWind| wind.drawn() == drawn;
+            let mut due: Vec<&mut MemberWind> = members.iter_mut().filter(behind).collect();
+            generator.draw(due.iter_mut().map(|wind| &mut **wind), &mut scratch);
+            for wind in due {
+                knots.clear();
+                generator.fill(wind, sampling, &mut knots);
+            }
+        }
         let mut velocity = vec![[Lanes::ZERO; 2]];
-        let members = (0..)
-            .zip(members)
-            .map(|(place, member)| {
-                let mut wind = member?;
-                for _ in wind.drawn()..generator.lead_in() {
-                    knots.clear();
-                    generator.draw(std::iter::once(&mut wind), &mut scratch);
-                    generator.fill(&mut wind, sampling, &mut knots);
-                }
-                set_lane(&mut velocity[0], place, wind.velocity());
-                Ok(wind)
-            })
-            .collect::<Result<_, DriftError>>()?;
+        for (place, wind) in members.iter().enumerate() {
+            set_lane(&mut velocity[0], place, wind.velocity());
+        }
         let spacing = generator.knots(sampling).0;
         let sums = sums_of([[Lanes::ZERO; 2]; 2], &velocity[0]);
         let source = Source::Drawn {
