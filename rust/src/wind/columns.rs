@@ -28,6 +28,8 @@ use crate::lanes::dispatch;
 const TABLED: usize = 2;
 /// Widest spacing of the lattice.
 const SPACING: f64 = 0.76;
+/// Farthest components, in units of the kernel: single precision tells them to 10⁻⁴ of it.
+const FARTHEST: f64 = 1e3;
 /// Most numbers of the table.
 const MAX_TABLE: usize = 1 << 23;
 /// Most rows of a column, as many times [`ABREAST`].
@@ -103,11 +105,15 @@ impl Axis {
 }
 
 impl Columns {
-    /// Parts rows of the whitened states `n × d`; none where the table would be too large.
+    /// Parts rows of the whitened states `n × d`; none where they are too far apart, or the table
+    /// would be too large.
     pub(super) fn new(whitened: &[f64], d: usize, bandwidth: f64) -> Option<Self> {
         let boxed = if d > TABLED { d - TABLED } else { d };
         let unit = (std::f64::consts::LOG2_E / 2.0).sqrt() / bandwidth;
         let states: Vec<f64> = whitened.iter().map(|z| z * unit).collect();
+        if !states.iter().all(|z| z.abs() <= FARTHEST) {
+            return None;
+        }
         let rows = states.len() / d;
         let count = rows.div_ceil(DEPTH * ABREAST);
         let blocks = count.div_ceil(ABREAST);
@@ -116,7 +122,7 @@ impl Columns {
             |k: usize| states.chunks_exact(d).map(move |state| *state.get(k).unwrap_or(&0.0));
         let lattice = std::array::from_fn(|k| Axis::spanning(tabled(boxed + k)));
         let [first, second]: &[Axis; TABLED] = &lattice;
-        let nodes = first.nodes.checked_mul(second.nodes)?;
+        let nodes = first.nodes * second.nodes;
         if nodes.checked_mul(blocks * ABREAST)? > MAX_TABLE {
             return None;
         }
@@ -478,6 +484,13 @@ mod tests {
             assert!(held.into_iter().eq(0..count as u32));
         }
         Ok(())
+    }
+
+    #[test]
+    fn what_is_too_far_has_none() {
+        assert!(Columns::new(&states(333, 4), 4, 1e-3).is_none());
+        assert!(Columns::new(&[1e300, 0.0, -1e300, 0.0], 2, 0.3).is_none());
+        assert!(Columns::new(&states(100_000, 4), 4, 0.01).is_none());
     }
 
     /// The bound of each column is above the sum of its rows' weights, beyond the lattice, too; and
