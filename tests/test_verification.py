@@ -213,8 +213,9 @@ def require_calibrated(found: xr.Dataset) -> None:
     groups = np.broadcast_to(found["season"].to_numpy()[:, None], p.shape)
     # Five bins inside of 99 % each: all of them in 95 of 100 tests.
     calibrated = verification.reliability(p, happened, 5, groups, level=0.99)
-    assert (calibrated["observed"] >= calibrated["low"]).all()
-    assert (calibrated["observed"] <= calibrated["high"]).all()
+    # What happened is one of the ends where it is the farthest that summers can come to.
+    assert (calibrated["observed"] >= calibrated["low"] - 1e-12).all()
+    assert (calibrated["observed"] <= calibrated["high"] + 1e-12).all()
     assert calibrated.attrs["p_value"] > 0.05
     assert calibrated.attrs["skill"] > 0.2
     times = (found["stranding_time"], found["observed_stranding_time"])
