@@ -87,10 +87,11 @@ impl Axis {
         Self { low: low as f32, spacing: spacing as f32, nodes: intervals as usize + 1 }
     }
 
-    /// Binary logarithm of the kernel from a value to each node.
-    fn exponents(&self, value: f64) -> Vec<f64> {
+    /// The kernel from a value to each node.
+    fn kernels(&self, value: f64) -> Vec<f64> {
         let (low, spacing) = (f64::from(self.low), f64::from(self.spacing));
-        (0..self.nodes).map(|node| -(value - low - node as f64 * spacing).powi(2)).collect()
+        let kernel = |node| -> f64 { (-(value - low - node as f64 * spacing).powi(2)).exp2() };
+        (0..self.nodes).map(kernel).collect()
     }
 
     /// The node before a value, the place between it and the next, and how far the value is beyond
@@ -171,18 +172,17 @@ impl Columns {
             (low[place], high[place]) =
                 of.fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
         }
-        // From each row to the nodes of both axes.
-        let exponents = rows.iter().map(|row| {
+        // The kernel from each row to the nodes of both axes.
+        let kernels = rows.iter().map(|row| {
             let tabled = |k: usize| state(row).get(boxed + k).copied().unwrap_or_default();
-            std::array::from_fn(|k| self.lattice[k].exponents(tabled(k)))
+            std::array::from_fn(|k| self.lattice[k].kernels(tabled(k)))
         });
-        let exponents: Vec<[Vec<f64>; TABLED]> = exponents.collect();
+        let kernels: Vec<[Vec<f64>; TABLED]> = kernels.collect();
         let nodes = self.lattice[1].nodes;
         for (node, sums) in self.sums.chunks_exact_mut(self.blocks).enumerate() {
-            let of = exponents.iter().map(|[a, b]| a[node / nodes] + b[node % nodes]);
-            let most = of.clone().fold(NOTHING, f64::max);
-            let sum: f64 = of.map(|exponent| (exponent - most).exp2()).sum();
-            sums[block][place] = (most + sum.log2() + MARGIN).max(NOTHING) as f32;
+            let of = kernels.iter().map(|[a, b]| a[node / nodes] * b[node % nodes]);
+            // What is lost below the least number is as good as nothing at the next nodes, too.
+            sums[block][place] = (of.sum::<f64>().log2() + MARGIN).max(NOTHING) as f32;
         }
     }
 
