@@ -452,8 +452,3 @@ pub(crate) struct Scratch {
     columns: columns::Scratch,
     tree: tree::Scratch,
 }
-
-/// `−1/(2h² ln 2)`: turns a squared distance into the binary logarithm of the kernel.
-pub(super) fn scale(bandwidth: f64) -> f64 {
-    -std::f64::consts::LOG2_E / (2.0 * bandwidth * bandwidth)
-}

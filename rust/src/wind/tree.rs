@@ -4,7 +4,7 @@ use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
 use super::abreast::{ABREAST, Abreast, LOOSEST, greater, less_distance2, part, power_above};
-use super::bootstrap::{MAX_DIMENSION, State, scale};
+use super::bootstrap::{MAX_DIMENSION, State};
 use crate::lanes::dispatch;
 
 /// Most leaves.
@@ -183,6 +183,11 @@ struct Bounded {
     totals: Abreast,
     /// How many blocks there are.
     count: usize,
+}
+
+/// `−1/(2h² ln 2)`: turns a squared distance into the binary logarithm of the kernel.
+fn scale(bandwidth: f64) -> f64 {
+    -std::f64::consts::LOG2_E / (2.0 * bandwidth * bandwidth)
 }
 
 /// Binary logarithm of a row's weight relative to that of the squared distance `nearest`; see
