@@ -168,9 +168,10 @@ pub(super) const ROUNDED: f32 = 1e-3;
 /// grow along it, which lies above the power. For `t < −126` it is that of −126.
 #[inline(always)]
 pub(super) fn chord(t: f32) -> f32 {
-    // The sum has 14 bits after the point; the shift makes its integer part the exponent.
+    // The sum, between 512 and 1024, has 14 bits after the point; the shift drops its own exponent
+    // and makes what is above 512 the new one, and the mantissa.
     let fixed = greater(t, -126.0) + (127.0 + 512.0);
-    f32::from_bits((fixed.to_bits() - 512.0_f32.to_bits()) << 9)
+    f32::from_bits(fixed.to_bits() << 9)
 }
 
 /// [`power_above`] is no more than so many times `2^t`.

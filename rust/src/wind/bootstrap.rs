@@ -452,3 +452,25 @@ pub(crate) struct Scratch {
     columns: columns::Scratch,
     tree: tree::Scratch,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Columns where many rows have weight, a tree where all are far apart.
+    #[test]
+    fn what_draws_cheapest_is_chosen() {
+        let whitened: Vec<f64> =
+            (0..4 * 4096).map(|k| 2.0 * (0.7 * (k * k % 8209) as f64).sin()).collect();
+        let states: Vec<State> = (0..8)
+            .map(|number| {
+                let mut state = [0.0; MAX_DIMENSION];
+                state[..4].copy_from_slice(&whitened[4 * 400 * number..][..4]);
+                state
+            })
+            .collect();
+        let chosen = |bandwidth| Proposals::cheapest(&whitened, 4, bandwidth, &states);
+        assert!(matches!(chosen(0.8), Proposals::Columns(_)));
+        assert!(matches!(chosen(1e-4), Proposals::Tree(_)));
+    }
+}

@@ -487,6 +487,28 @@ mod tests {
     }
 
     #[test]
+    fn an_axis_spans_its_values() {
+        let values = [-3.0, 0.1, 4.0];
+        let axis = Axis::spanning(values.into_iter());
+        let last = axis.low + (axis.nodes - 1) as f32 * axis.spacing;
+        assert!((-3.001..=-3.0).contains(&axis.low) && (4.0..4.001).contains(&last));
+        assert!(f64::from(axis.spacing) < 1.001 * SPACING);
+        for value in [-3.0, 0.1, 4.0_f32] {
+            let (node, f, beyond) = axis.locate(value);
+            assert!(node + 1 < axis.nodes && (0.0..=1.0).contains(&f) && beyond == 0.0);
+            let there = axis.low + (node as f32 + f) * axis.spacing;
+            assert!((there - value).abs() < 1e-5, "{there} {value}");
+            let kernels = axis.kernels(f64::from(value));
+            let apart = f64::from(value) - f64::from(axis.low);
+            assert!((kernels[0] / (-apart * apart).exp2() - 1.0).abs() < 1e-9);
+        }
+        let (node, f, beyond) = axis.locate(5.0);
+        assert!((node, f) == (axis.nodes - 2, 1.0) && (beyond - 1.0).abs() < 1e-3);
+        let (node, f, beyond) = axis.locate(-5.0);
+        assert!((node, f) == (0, 0.0) && (beyond + 2.0).abs() < 1e-3);
+    }
+
+    #[test]
     fn what_is_too_far_has_none() {
         assert!(Columns::new(&states(333, 4), 4, 1e-3).is_none());
         assert!(Columns::new(&[1e300, 0.0, -1e300, 0.0], 2, 0.3).is_none());
@@ -527,6 +549,9 @@ mod tests {
                         (bounded, weighed) = (bounded + bound, weighed + weight);
                     }
                     assert!(reach > 1.0 || bounded < 12.0 * weighed, "{d}: {bounded} {weighed}");
+                    let [all_bounds, all_weights] = columns.compare(&state);
+                    assert!((all_bounds / bounded - 1.0).abs() < 1e-5);
+                    assert!((all_weights / weighed - 1.0).abs() < 1e-9);
                 }
             }
         }

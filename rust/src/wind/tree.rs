@@ -419,9 +419,17 @@ mod tests {
     fn a_tree_opens_what_counts() {
         let whitened: Vec<f64> = (0..4 * 4096).map(|k| 3.0 * (0.7 * k as f64).sin()).collect();
         let place = &whitened[400..404];
-        let (trials, blocks) = Tree::new(&whitened, 4, 4096).trials(place, 0.05);
+        let tree = Tree::new(&whitened, 4, 4096);
+        let (trials, blocks) = tree.trials(place, 0.05);
         assert!(trials < 4.0, "{trials}");
         assert!(blocks < 64, "{blocks}");
+        // As many it takes: each reads four words of random bits.
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for _ in 0..1000 {
+            assert!(tree.draw(place, 0.05, &mut rng, &mut Scratch::default()).is_some());
+        }
+        let taken = rng.get_word_pos() as f64 / 4000.0;
+        assert!((taken / trials - 1.0).abs() < 0.1, "{taken} {trials}");
         // Where the nearest row is a thousand bandwidths away, none of them is drawn for another.
         let tree = Tree::new(&whitened, 4, 8192);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
