@@ -13,6 +13,13 @@ use pulp::bytemuck::cast;
 /// How many are worked out together.
 pub(super) const ABREAST: usize = 16;
 
+/// After so many trials no row is drawn. A trial accepts by the law of the weights whatever went
+/// before it, so the law stays exact.
+pub(super) const MAX_TRIALS: usize = 200;
+
+/// Least sum of the bounds at a state, of which the nearest is about 1 as a rule.
+pub(super) const LEAST_TOTAL: f32 = 1e-18;
+
 /// One number of each.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 #[repr(align(64))]

@@ -20,7 +20,9 @@ use std::ops::Range;
 use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
-use super::abreast::{ABREAST, Abreast, ROUNDED, chord, less_distance2, part, power};
+use super::abreast::{
+    ABREAST, Abreast, LEAST_TOTAL, MAX_TRIALS, ROUNDED, chord, less_distance2, part, power,
+};
 use super::bootstrap::{MAX_DIMENSION, State, States};
 use crate::lanes::dispatch;
 
@@ -38,10 +40,6 @@ const DEPTH: usize = 2;
 const MARGIN: f64 = 5e-4 + ROUNDED as f64;
 /// Binary logarithm of what is as good as nothing.
 const NOTHING: f64 = -1e4;
-/// After so many trials no row is drawn.
-const MAX_TRIALS: usize = 200;
-/// Least sum of the bounds at a state.
-const LEAST_TOTAL: f32 = 1e-18;
 /// What the bounds of a block of columns cost, and what a trial costs [ns], about.
 const COST_OF_BLOCK: f64 = 4.0;
 const COST_OF_TRIAL: f64 = 35.0;

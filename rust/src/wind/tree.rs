@@ -3,7 +3,9 @@
 use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
-use super::abreast::{ABREAST, Abreast, LOOSEST, greater, less_distance2, part, power_above};
+use super::abreast::{
+    ABREAST, Abreast, LEAST_TOTAL, LOOSEST, MAX_TRIALS, greater, less_distance2, part, power_above,
+};
 use super::bootstrap::{MAX_DIMENSION, State};
 use crate::lanes::dispatch;
 
@@ -12,11 +14,6 @@ const MAX_LEAVES: usize = 1 << 14;
 /// What a trial costs, and what the bounds of a block [ns], about.
 const COST_OF_TRIAL: f64 = 70.0;
 const COST_OF_BLOCK: f64 = 56.0;
-/// After so many trials no row is drawn. A trial accepts by the law of the weights whatever went
-/// before it, so the law stays exact.
-const MAX_TRIALS: usize = 200;
-/// Least sum of the bounds, of which the nearest is about 1 as a rule.
-const LEAST_TOTAL: f32 = 1e-18;
 /// Blocks are opened until what the closed ones bound is no more than this share of the leaves'.
 const CLOSED: f32 = 0.3;
 
