@@ -336,10 +336,12 @@ class Validation:
                 yield Check(name, error, float(value) + half, float(value) - half)
         for tides in TIDES:
             given = printed_numbers(paper.PRINTED[tides, 0.1][2])[0]
-            mean = self.mean(Case(tides, "paper", 0, 0.1), "position")
+            errors = self.errors[Case(tides, "paper", 0, 0.1)].position
             name = f"ε = 1/{tides}, p = ε/10, paper order 0, position: printed {given:.4f}"
-            # Two units of the last digit printed: the winds are not the paper's.
-            yield Check(name, mean, given + 2e-4, given - 2e-4)
+            # Two units of the last digit printed, for the winds are not the paper's, and two
+            # standard errors of the mean, for there are a hundred of them.
+            apart = 2e-4 + 2 * float(np.std(errors, ddof=1)) / len(errors) ** 0.5
+            yield Check(name, float(np.mean(errors)), given + apart, given - apart)
 
     def _orders(self) -> Iterable[Check]:
         for label, power, cases in order_cases():
