@@ -1,4 +1,5 @@
-//! Single-precision numbers of several rows, leaves or columns of a catalogue, side by side.
+//! What draws of catalogue rows share: states, and single-precision numbers of several rows, leaves or
+//! columns, side by side.
 //!
 //! Plain loops that the compiler turns into vector instructions, within [`dispatch`]; each
 //! operation is rounded once, so that every instruction set gives the same bits.
@@ -12,6 +13,15 @@ use pulp::bytemuck::cast;
 
 /// How many are worked out together.
 pub(super) const ABREAST: usize = 16;
+
+/// Most components of a state.
+pub(super) const MAX_DIMENSION: usize = 16;
+
+/// Whitened or raw state; the components that it does not have are 0.
+pub(super) type State = [f64; MAX_DIMENSION];
+
+/// Some states, at most [`ABREAST`], component by component.
+pub(super) type States = [[f64; ABREAST]];
 
 /// After so many trials no row is drawn. A trial accepts by the law of the weights whatever went
 /// before it, so the law stays exact.

@@ -16,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use smallvec::SmallVec;
 
-use super::abreast::ABREAST;
+use super::abreast::{ABREAST, MAX_DIMENSION, State, States};
 use super::columns::{self, Columns};
 use super::tree::{self, Tree};
 use crate::error::{DriftError, finite, positive, room};
@@ -26,16 +26,9 @@ use crate::field::Vec2;
 const VISITS: usize = 64;
 const STEPS_BETWEEN: usize = 4;
 /// Largest Markov order.
-pub const MAX_ORDER: usize = 8;
-pub(super) const MAX_DIMENSION: usize = 2 * MAX_ORDER;
+pub const MAX_ORDER: usize = MAX_DIMENSION / 2;
 /// A row whose weight relative to the nearest row's has a log below this counts as nothing.
 const NEGLIGIBLE: f64 = -36.0;
-
-/// Whitened or raw state; only the first `2·order` entries are used.
-pub(super) type State = [f64; MAX_DIMENSION];
-
-/// Some states, at most [`ABREAST`], component by component.
-pub(super) type States = [[f64; ABREAST]];
 
 /// The arrays of a fitted bootstrap, all row-major.
 #[derive(Debug, Clone, Default)]

@@ -21,9 +21,9 @@ use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
 use super::abreast::{
-    ABREAST, Abreast, LEAST_TOTAL, MAX_TRIALS, ROUNDED, chord, less_distance2, part, power,
+    ABREAST, Abreast, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, ROUNDED, State, States, chord,
+    less_distance2, part, power,
 };
-use super::bootstrap::{MAX_DIMENSION, State, States};
 use crate::lanes::dispatch;
 
 /// Components whose kernels are summed in a table.

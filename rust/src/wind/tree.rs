@@ -4,9 +4,9 @@ use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
 use super::abreast::{
-    ABREAST, Abreast, LEAST_TOTAL, LOOSEST, MAX_TRIALS, greater, less_distance2, part, power_above,
+    ABREAST, Abreast, LEAST_TOTAL, LOOSEST, MAX_DIMENSION, MAX_TRIALS, State, greater,
+    less_distance2, part, power_above,
 };
-use super::bootstrap::{MAX_DIMENSION, State};
 use crate::lanes::dispatch;
 
 /// Most leaves.
