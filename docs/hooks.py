@@ -40,7 +40,9 @@ def on_page_content(content: str, **_: Any) -> str:
     def drawn(formula: re.Match[str]) -> str:
         kind, tex = formula[1], html.unescape(formula[2])
         number = _TAG.search(tex)
-        shown = convert(_TAG.sub("", tex), display="block" if kind == "div" else "inline")
+        # `aligned`, which others ask for, would lose its rows.
+        tex = _TAG.sub("", tex).replace("{aligned}", "{align*}")
+        shown = convert(tex, display="block" if kind == "div" else "inline")
         if kind == "span":
             return shown
         label = f'<span class="number">({number[1]})</span>' if number else ""
