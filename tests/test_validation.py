@@ -24,6 +24,7 @@ SMALL = validation.Effort(
     winds=2,
     winds_of_orders=1,
     winds_of_costs=1,
+    winds_of_printed=1,
     members=20,
     rounds=1,
     halvings=6,

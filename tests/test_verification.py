@@ -181,7 +181,7 @@ def test_ranks_of_censored_times(grouped: bool) -> None:
 
 @lru_cache
 def record(summers: int = SUMMERS) -> dc.WindRecord:
-    return dc.read_record(synthetic_record(summers, seed=3), (6, 7, 8))
+    return dc.read_record(synthetic_record(summers, seed=5), (6, 7, 8))
 
 
 @lru_cache
@@ -211,11 +211,9 @@ def require_calibrated(found: xr.Dataset) -> None:
     assert p.shape == (3, 5 * SUMMERS, 8)
     assert np.ptp(p) > 0.9
     groups = np.broadcast_to(found["season"].to_numpy()[:, None], p.shape)
-    # Five bins inside of 99 % each: all of them in 95 of 100 tests.
-    calibrated = verification.reliability(p, happened, 5, groups, level=0.99)
-    # What happened is one of the ends where it is the farthest that summers can come to.
-    assert (calibrated["observed"] >= calibrated["low"] - 1e-12).all()
-    assert (calibrated["observed"] <= calibrated["high"] + 1e-12).all()
+    calibrated = verification.reliability(p, happened, 5, groups)
+    assert (calibrated["observed"] >= calibrated["low"]).all()
+    assert (calibrated["observed"] <= calibrated["high"]).all()
     assert calibrated.attrs["p_value"] > 0.05
     assert calibrated.attrs["skill"] > 0.2
     times = (found["stranding_time"], found["observed_stranding_time"])

@@ -5,10 +5,10 @@
 //! (5), (8). As in [`super::full`] the integrator works on `P = X − Λ∬W`, so that only `∬W` enters.
 //! The sea's factors of time are worked out once for all lanes.
 
-use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 use nalgebra::Matrix2;
+use pulp::{Simd, WithSimd};
 
 use super::{Formulation, Model, Piece, Problem, Reach, mean_drift};
 use crate::dopri5::{A, B, C, D, E, Step, powers};

@@ -1,10 +1,10 @@
 //! Winds of several members side by side, on common regular knots, with the integrals that a step
 //! of all of them needs: equations.md (21), summed from knot to knot.
 
-use super::bootstrap::Scratch;
 use pulp::{Simd, WithSimd};
 use smallvec::SmallVec;
 
+use super::bootstrap::Scratch;
 use super::path::{WindPath, require_cover};
 use super::{Mark, MemberWind, Sampling, WindGenerator};
 use crate::error::{DriftError, finite, positive, product, room};

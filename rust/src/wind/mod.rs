@@ -25,6 +25,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::error::{DriftError, positive, product, room};
 use crate::field::Vec2;
+use crate::lanes::WIDTH;
 use bootstrap::{Bootstrap, Chain, Scratch};
 use hand_over::HandOver;
 use path::WindPath;
@@ -515,9 +516,6 @@ impl MemberWind {
     }
 }
 
-/// Members sampled together.
-const SIDE_BY_SIDE: u64 = 16;
-
 /// The synoptic part alone, in m/s: what [`WindGenerator::path`] draws for these members.
 pub fn sample(
     bootstrap: &Bootstrap,
@@ -535,7 +533,7 @@ pub fn sample(
     let mut scratch = Scratch::default();
     let mut first = 0;
     while first < members.end - members.start {
-        let group = first..(first + SIDE_BY_SIDE).min(members.end - members.start);
+        let group = first..(first + WIDTH as u64).min(members.end - members.start);
         let mut winds = (group.clone())
             .map(|number| Synoptic::start(bootstrap, beginning, seed, members.start + number))
             .collect::<Result<Vec<_>, _>>()?;
