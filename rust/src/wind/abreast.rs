@@ -70,17 +70,6 @@ impl Abreast {
         Self(cast(sums))
     }
 
-    /// The number before each place; 0 before the first.
-    #[inline(always)]
-    pub(super) fn before<S: Simd>(self, simd: S) -> Self {
-        if !in_one_register::<S>() {
-            return Self::of(|k| if k < 1 { 0.0 } else { self[k - 1] });
-        }
-        let before = simd.rotate_right_f32s(cast(self.0), 1);
-        let there = simd.greater_than_f32s(cast(PLACES), simd.splat_f32s(0.0));
-        Self(cast(simd.select_f32s(there, before, simd.splat_f32s(0.0))))
-    }
-
     /// Place of the first number above another one; [`ABREAST`] if there is none.
     #[inline(always)]
     pub(super) fn first_above<S: Simd>(&self, simd: S, other: f32) -> usize {
@@ -168,7 +157,7 @@ pub(super) fn greater(a: f32, b: f32) -> f32 {
 
 /// The lesser of two numbers.
 #[inline(always)]
-fn lesser(a: f32, b: f32) -> f32 {
+pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
@@ -246,7 +235,6 @@ mod tests {
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
             let sums = self.0.running(simd);
-            assert_eq!(sums.before(simd), Abreast::of(|k| if k == 0 { 0.0 } else { sums[k - 1] }));
             (sums, sums.first_above(simd, self.1))
         }
     }

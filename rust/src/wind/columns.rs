@@ -1,19 +1,23 @@
-//! Draws of catalogue rows where many of them have weight: in two stages, for several states at
+//! Draws of catalogue rows where many of them have weight: in three stages, for several states at
 //! once.
 //!
 //! In units of `h √(2 ln 2)` the kernel of two whitened states a distance `r` apart is `2^(−r²)`. A
 //! state is `(u, v)`: `v` its last two components, `u` the others, and the kernel the product of
-//! one in `u` and one in `v`. The rows are parted into columns, each a box of `u`, and the weight
-//! of a column is bounded by the product of
+//! one in `u` and one in `v`. The rows are parted into columns, each a box of `u`, and the columns
+//! into bundles. The weight of a column is bounded by the product of
 //!
 //! * the kernel from `u` to its box, and
 //! * the sum of the kernels from `v` to its rows. At the nodes of a lattice that sum is known. Its
-//!   logarithm, plus `|v|²`, is convex and so, between nodes, below the bilinear interpolation.
+//!   logarithm, plus `|v|²`, is convex and so, between nodes, below the linear interpolation.
 //!   Beyond the lattice, which spans the rows, all kernels are below those from its nearest point
 //!   times the kernel from there.
 //!
-//! A column is drawn by its bound. Then one of its rows is drawn by their weights, or none by what
-//! the bound is above their sum, and the next trial begins: docs/equations.md (20).
+//! The sum of a bundle's bounds is itself bounded in that way: it is known at the nodes of the
+//! lattice in the last four components.
+//!
+//! A bundle is drawn by its bound. Then one of its columns is drawn by theirs, or none by what the
+//! bundle's is above their sum; then one of the column's rows by their weights, or none in the same
+//! way. Where there was none the next trial begins: docs/equations.md (20).
 
 use std::ops::Range;
 
@@ -21,45 +25,53 @@ use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
 use super::abreast::{
-    ABREAST, Abreast, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, ROUNDED, State, States, chord,
-    less_distance2, part, power,
+    ABREAST, Abreast, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, ROUNDED, State, States, greater,
+    less_distance2, lesser, part, power,
 };
 use crate::lanes::dispatch;
 
-/// Components whose kernels are summed in a table.
+/// Last components, whose kernels are summed in the table of the columns.
 const TABLED: usize = 2;
-/// Widest spacing of the lattice.
-const SPACING: f64 = 0.76;
+/// Most of the last components, whose kernels are summed in the table of the bundles.
+const LATTICED: usize = 4;
+/// Narrowest spacing of the bundles' lattice, and how many of the columns' make one.
+const SPACING: f64 = 0.9;
+/// Widest spacing: bounds are too loose beyond.
+const WIDEST: f64 = 2.0;
 /// Farthest components, in units of the kernel: single precision tells them to 10⁻⁴ of it.
 const FARTHEST: f64 = 1e3;
-/// Most numbers of the table.
-const MAX_TABLE: usize = 1 << 23;
-/// Most rows of a column, as many times [`ABREAST`].
-const DEPTH: usize = 2;
+/// Most numbers of each table.
+const MAX_TABLE: usize = 1 << 22;
+/// Columns of a bundle, as many times [`ABREAST`]; a column has [`ABREAST`] rows.
+const WIDE: usize = 2;
 /// Added to the binary logarithm of each sum: more than single precision can lack.
 const MARGIN: f64 = 5e-4 + ROUNDED as f64;
 /// Binary logarithm of what is as good as nothing.
 const NOTHING: f64 = -1e4;
-/// What the bounds of a block of columns cost, and what a trial costs [ns], about.
-const COST_OF_BLOCK: f64 = 4.0;
+/// What a draw costs, and what a trial of it costs [ns], about.
+const COST_OF_DRAW: f64 = 30.0;
 const COST_OF_TRIAL: f64 = 35.0;
 
 /// The rows of a catalogue in columns; states are in units of the kernel.
 #[derive(Debug, Clone)]
 pub(super) struct Columns {
-    /// Components of a state, and how many of them the boxes bound.
+    /// Components of a state.
     dimension: usize,
-    boxed: usize,
     /// Turns whitened components into those in units of the kernel.
     unit: f64,
-    /// Lowest and highest state of each column, block by block and component by component.
+    /// The lattice in each of the last components.
+    lattice: Vec<Axis>,
+    /// Registers of [`ABREAST`] bundles.
+    registers: usize,
+    /// Lowest and highest state of each bundle, in the components before the lattice's.
+    bundle_boxes: Vec<[Abreast; 2]>,
+    /// Binary logarithm of the sum of each bundle's bounds, node by node.
+    bundle_sums: Vec<Abreast>,
+    /// Lowest and highest state of each column, in the components before the table's.
     boxes: Vec<[Abreast; 2]>,
-    lattice: [Axis; TABLED],
-    /// Binary logarithm of the sum over each column's rows, node by node and block by block.
+    /// Binary logarithm of the sum over each column's rows, node by node.
     sums: Vec<Abreast>,
-    /// Blocks of columns.
-    blocks: usize,
-    /// States of the rows, column by column, `DEPTH` blocks each, component by component.
+    /// States of the rows, column by column, component by component.
     states: Vec<Abreast>,
     /// Rows, in the same order.
     rows: Vec<u32>,
@@ -75,138 +87,265 @@ struct Axis {
 
 impl Axis {
     /// Spans some values.
-    fn spanning(values: impl Iterator<Item = f64>) -> Self {
+    fn spanning(values: impl Iterator<Item = f64>, widest: f64) -> Self {
         let (low, high) =
             values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
-        let range = (high - low).max(SPACING);
-        let intervals = (range / SPACING).ceil();
+        let range = (high - low).max(widest);
+        let intervals = (range / widest).ceil();
         // A little more than the rows need, for rounding.
         let (low, spacing) = (low - 1e-6 * range, (1.0 + 4e-6) * range / intervals);
         Self { low: low as f32, spacing: spacing as f32, nodes: intervals as usize + 1 }
     }
 
-    /// The kernel from a value to each node.
-    fn kernels(&self, value: f64) -> Vec<f64> {
-        let (low, spacing) = (f64::from(self.low), f64::from(self.spacing));
-        let kernel = |node| -> f64 { (-(value - low - node as f64 * spacing).powi(2)).exp2() };
-        (0..self.nodes).map(kernel).collect()
+    fn at(&self, node: usize) -> f64 {
+        f64::from(self.low) + f64::from(self.spacing) * node as f64
     }
 
-    /// The node before a value, the place between it and the next, and how far the value is beyond
-    /// the lattice.
+    /// Places of some values, in spacings, and how far they are beyond the lattice.
     #[inline(always)]
-    fn locate(&self, value: f32) -> (usize, f32, f32) {
-        let place = (value - self.low) / self.spacing;
-        let inside = place.max(0.0).min((self.nodes - 1) as f32);
-        let node = (inside as u32 as usize).min(self.nodes - 2);
-        (node, inside - node as f32, (place - inside) * self.spacing)
+    fn locate(&self, values: &Abreast) -> (Abreast, Abreast) {
+        let (low, per_spacing, last) = (self.low, 1.0 / self.spacing, (self.nodes - 1) as f32);
+        let place = Abreast::of(|k| (values[k] - low) * per_spacing);
+        let inside = Abreast::of(|k| lesser(greater(place[k], 0.0), last));
+        (inside, Abreast::of(|k| (place[k] - inside[k]) * self.spacing))
     }
 }
 
+/// The simplices of a lattice that some places are in: from node to node, one step along each
+/// component, those first in which a place is farthest from the node before.
+struct Simplices<const K: usize> {
+    first: [u32; ABREAST],
+    /// From each node to the next.
+    steps: [[u32; ABREAST]; K],
+    /// Shares of the first node, and of the others, in the interpolation.
+    of_first: Abreast,
+    shares: [Abreast; K],
+    /// `Σ share·x²` of the nodes less that of the place, for each component `x` in spacings.
+    above: [Abreast; K],
+}
+
+impl<const K: usize> Simplices<K> {
+    /// Of places in spacings, in a lattice with so many nodes in each component.
+    #[inline(always)]
+    fn around(places: &[Abreast; K], nodes: [usize; K]) -> Self {
+        // Numbers of nodes are whole, and small enough for single precision.
+        let mut first = Abreast::default();
+        let mut steps = [Abreast::default(); K];
+        let mut fractions = [Abreast::default(); K];
+        let mut above = [Abreast::default(); K];
+        let mut stride = 1.0;
+        for k in (0..K).rev() {
+            let last = nodes[k] as f32 - 2.0;
+            let node = Abreast::of(|at| lesser(places[k][at].floor(), last));
+            let f = Abreast::of(|at| places[k][at] - node[at]);
+            first = Abreast::of(|at| node[at].mul_add(stride, first[at]));
+            above[k] = Abreast::of(|at| f[at] * (1.0 - f[at]));
+            fractions[k] = f;
+            steps[k] = Abreast::splat(stride);
+            stride *= nodes[k] as f32;
+        }
+        for end in (1..K).rev() {
+            for k in 0..end {
+                let [f, g, a, b] = [fractions[k], fractions[k + 1], steps[k], steps[k + 1]];
+                fractions[k] = Abreast::of(|at| greater(f[at], g[at]));
+                fractions[k + 1] = Abreast::of(|at| lesser(f[at], g[at]));
+                steps[k] = Abreast::of(|at| if f[at] < g[at] { b[at] } else { a[at] });
+                steps[k + 1] = Abreast::of(|at| if f[at] < g[at] { a[at] } else { b[at] });
+            }
+        }
+        let of_first = Abreast::of(|at| 1.0 - fractions[0][at]);
+        let mut shares = fractions;
+        for k in 1..K {
+            shares[k - 1] = Abreast::of(|at| fractions[k - 1][at] - fractions[k][at]);
+        }
+        Self { first: whole(&first), steps: steps.map(|of| whole(&of)), of_first, shares, above }
+    }
+}
+
+/// Whole numbers.
+#[inline(always)]
+fn whole(numbers: &Abreast) -> [u32; ABREAST] {
+    let mut whole = [0; ABREAST];
+    for (at, whole) in whole.iter_mut().enumerate() {
+        // The sum has no bits after the point.
+        *whole = (numbers[at] + 8_388_608.0).to_bits() & 0x7f_ffff;
+    }
+    whole
+}
+
 impl Columns {
-    /// Parts rows of the whitened states `n × d`; none where they are too far apart, or the table
+    /// Parts rows of the whitened states `n × d`; none where they are too far apart, or the tables
     /// would be too large.
     pub(super) fn new(whitened: &[f64], d: usize, bandwidth: f64) -> Option<Self> {
-        let boxed = if d > TABLED { d - TABLED } else { d };
         let unit = (std::f64::consts::LOG2_E / 2.0).sqrt() / bandwidth;
         let states: Vec<f64> = whitened.iter().map(|z| z * unit).collect();
         if !states.iter().all(|z| z.abs() <= FARTHEST) {
             return None;
         }
         let rows = states.len() / d;
-        let count = rows.div_ceil(DEPTH * ABREAST);
-        let blocks = count.div_ceil(ABREAST);
-        // Where no component is left to be tabled, all rows are at the first node.
-        let tabled =
-            |k: usize| states.chunks_exact(d).map(move |state| *state.get(k).unwrap_or(&0.0));
-        let lattice = std::array::from_fn(|k| Axis::spanning(tabled(boxed + k)));
-        let [first, second]: &[Axis; TABLED] = &lattice;
-        let nodes = first.nodes * second.nodes;
-        if nodes.checked_mul(blocks * ABREAST)? > MAX_TABLE {
+        let bundles = rows.div_ceil(WIDE * ABREAST * ABREAST);
+        let registers = bundles.div_ceil(ABREAST);
+        let columns = registers * ABREAST * WIDE;
+        let lattice = Self::lattice(&states, d, registers)?;
+        let nodes: usize =
+            lattice[lattice.len() - TABLED..].iter().map(|axis| axis.nodes).product();
+        if nodes.checked_mul(columns * ABREAST)? > MAX_TABLE {
             return None;
         }
-        let mut columns = Self {
+        let (boxed, beyond) = (d - TABLED, d - lattice.len());
+        let empty = [Abreast::splat(f32::INFINITY), Abreast::splat(f32::NEG_INFINITY)];
+        let mut new = Self {
             dimension: d,
-            boxed,
             unit,
-            boxes: vec![[Abreast::splat(0.0); 2]; blocks * boxed],
-            lattice,
-            sums: vec![Abreast::splat(NOTHING as f32); nodes * blocks],
-            blocks,
+            registers,
+            bundle_boxes: vec![empty; registers * beyond],
+            bundle_sums: Vec::new(),
+            boxes: vec![empty; columns * boxed],
+            sums: vec![Abreast::splat(NOTHING as f32); nodes * columns],
             // Spare places lie beyond everything.
-            states: vec![Abreast::splat(f32::INFINITY); blocks * ABREAST * DEPTH * d],
-            rows: vec![0; blocks * ABREAST * DEPTH * ABREAST],
+            states: vec![Abreast::splat(f32::INFINITY); columns * ABREAST * d],
+            rows: vec![0; columns * ABREAST * ABREAST],
+            lattice,
         };
-        columns.fill(0..count, (0..rows as u32).collect(), &states);
-        Some(columns)
+        new.fill(0..bundles * WIDE * ABREAST, (0..rows as u32).collect(), &states);
+        new.sum_bundles();
+        Some(new)
+    }
+
+    /// The lattice, as narrow as the bundles' table may be large.
+    fn lattice(states: &[f64], d: usize, registers: usize) -> Option<Vec<Axis>> {
+        let mut spacing = SPACING;
+        while spacing <= WIDEST {
+            let component = |k: usize| states.iter().skip(k).step_by(d).copied();
+            let axes = (d - LATTICED.min(d)..d).map(|k| Axis::spanning(component(k), spacing));
+            let axes: Vec<Axis> = axes.collect();
+            let nodes: f64 = axes.iter().map(|axis| axis.nodes as f64).product();
+            if nodes * (registers * ABREAST) as f64 <= MAX_TABLE as f64 {
+                return Some(axes);
+            }
+            spacing *= 1.05;
+        }
+        None
+    }
+
+    /// The components that the columns' table is of.
+    fn tabled(&self) -> &[Axis] {
+        &self.lattice[self.lattice.len() - TABLED..]
     }
 
     /// Parts some rows among columns of a range.
     fn fill(&mut self, range: Range<usize>, rows: Vec<u32>, states: &[f64]) {
-        let (d, boxed) = (self.dimension, self.boxed);
+        let (d, boxed) = (self.dimension, self.dimension - TABLED);
         if range.len() > 1 {
-            let half = range.len() / 2;
+            // Bundles are parted first, by the components that their boxes alone bound.
+            let bundles = range.len() > WIDE * ABREAST;
+            let unit = if bundles { WIDE * ABREAST } else { 1 };
+            let half = range.len() / unit / 2 * unit;
             let middle = rows.len() * half / range.len();
-            let [first, second] = part(rows, middle, states, d, boxed);
+            let among = match (d - self.lattice.len(), boxed) {
+                (beyond, _) if bundles && beyond > 0 => beyond,
+                (_, 0) => d,
+                _ => boxed,
+            };
+            let [first, second] = part(rows, middle, states, d, among);
             self.fill(range.start..range.start + half, first, states);
             self.fill(range.start + half..range.end, second, states);
             return;
         }
         let column = range.start;
         let state = |row: &u32| &states[*row as usize * d..][..d];
-        let slots = &mut self.rows[column * DEPTH * ABREAST..][..DEPTH * ABREAST];
+        let slots = &mut self.rows[column * ABREAST..][..ABREAST];
         // Where rounding leads to a spare place, it is the last row's.
         slots.fill(rows.last().copied().unwrap_or_default());
         for (slot, row) in rows.iter().enumerate() {
             slots[slot] = *row;
-            let block = column * DEPTH + slot / ABREAST;
             for (k, value) in state(row).iter().enumerate() {
-                self.states[block * d + k][slot % ABREAST] = *value as f32;
+                self.states[column * d + k][slot] = *value as f32;
             }
         }
-        let (block, place) = (column / ABREAST, column % ABREAST);
-        for (k, [low, high]) in self.boxes[block * boxed..][..boxed].iter_mut().enumerate() {
-            let of = rows.iter().map(|row| state(row)[k] as f32);
-            (low[place], high[place]) =
-                of.fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
+        let (register, place) = (column / ABREAST, column % ABREAST);
+        for (k, [low, high]) in self.boxes[register * boxed..][..boxed].iter_mut().enumerate() {
+            for value in rows.iter().map(|row| state(row)[k] as f32) {
+                (low[place], high[place]) = (low[place].min(value), high[place].max(value));
+            }
+        }
+        let (bundle, beyond) = (column / (WIDE * ABREAST), d - self.lattice.len());
+        let (register_of, at) = (bundle / ABREAST, bundle % ABREAST);
+        let boxes = &mut self.bundle_boxes[register_of * beyond..][..beyond];
+        for (k, [low, high]) in boxes.iter_mut().enumerate() {
+            for value in rows.iter().map(|row| state(row)[k] as f32) {
+                (low[at], high[at]) = (low[at].min(value), high[at].max(value));
+            }
         }
         // The kernel from each row to the nodes of both axes.
-        let kernels = rows.iter().map(|row| {
-            let tabled = |k: usize| state(row).get(boxed + k).copied().unwrap_or_default();
-            std::array::from_fn(|k| self.lattice[k].kernels(tabled(k)))
+        let kernels = rows.iter().map(|row| -> [Vec<f64>; TABLED] {
+            std::array::from_fn(|k| {
+                let (axis, value) = (&self.tabled()[k], state(row)[boxed + k]);
+                let kernel = |node| -> f64 { (-(value - axis.at(node)).powi(2)).exp2() };
+                (0..axis.nodes).map(kernel).collect()
+            })
         });
-        let kernels: Vec<[Vec<f64>; TABLED]> = kernels.collect();
-        let nodes = self.lattice[1].nodes;
-        for (node, sums) in self.sums.chunks_exact_mut(self.blocks).enumerate() {
+        let kernels: Vec<_> = kernels.collect();
+        let (nodes, registers) = (self.tabled()[1].nodes, self.registers * ABREAST * WIDE);
+        for (node, sums) in self.sums.chunks_exact_mut(registers).enumerate() {
             let of = kernels.iter().map(|[a, b]| a[node / nodes] * b[node % nodes]);
             // What is lost below the least number is as good as nothing at the next nodes, too.
-            sums[block][place] = (of.sum::<f64>().log2() + MARGIN).max(NOTHING) as f32;
+            sums[register][place] = log2_above(of.sum());
+        }
+    }
+
+    /// Sums the bounds of each bundle's columns at the nodes of the lattice.
+    fn sum_bundles(&mut self) {
+        let registers = self.registers * ABREAST * WIDE;
+        let first = &self.lattice[..self.lattice.len() - TABLED];
+        let nodes = self.sums.chunks_exact(registers).map(|sums| {
+            sums.iter().flat_map(|sums| sums.0).map(|sum| f64::from(sum).exp2()).collect()
+        });
+        let nodes: Vec<Vec<f64>> = nodes.collect();
+        let boxed = self.dimension - TABLED;
+        let combinations: usize = first.iter().map(|axis| axis.nodes).product();
+        for combination in 0..combinations {
+            // The kernel from a node to each box.
+            let mut kernels = vec![1.0; registers * ABREAST];
+            let mut rest = combination;
+            for (k, axis) in first.iter().enumerate().rev() {
+                let z = axis.at(rest % axis.nodes);
+                rest /= axis.nodes;
+                let of =
+                    self.boxes.chunks_exact(boxed).map(|boxes| &boxes[boxed - first.len() + k]);
+                let ends = of.flat_map(|[low, high]| low.0.into_iter().zip(high.0));
+                for (kernel, (low, high)) in kernels.iter_mut().zip(ends) {
+                    let [low, high] = [low, high].map(f64::from);
+                    *kernel *= (-(z - z.max(low).min(high)).powi(2)).exp2();
+                }
+            }
+            for sums in &nodes {
+                let mut bundles = vec![Abreast::splat(NOTHING as f32); self.registers];
+                let of =
+                    kernels.chunks_exact(WIDE * ABREAST).zip(sums.chunks_exact(WIDE * ABREAST));
+                for (bundle, (kernels, sums)) in of.enumerate() {
+                    let bounds = kernels.iter().zip(sums).map(|(kernel, sum)| kernel * sum);
+                    bundles[bundle / ABREAST][bundle % ABREAST] = log2_above(bounds.sum());
+                }
+                self.bundle_sums.extend(bundles);
+            }
         }
     }
 
     /// What draws at some states cost [ns], about.
     pub(super) fn cost(&self, states: &[State]) -> f64 {
         let costs = states.iter().map(|z| {
-            let [bounded, weighed] = self.compare(z);
-            let trials = bounded / weighed.max(f64::MIN_POSITIVE);
-            COST_OF_BLOCK * self.blocks as f64 + COST_OF_TRIAL * trials
+            let [bundles, _, rows] =
+                self.weigh(z).map(|of| -> f64 { of.into_iter().map(f64::from).sum() });
+            COST_OF_DRAW + COST_OF_TRIAL * bundles / rows.max(f64::MIN_POSITIVE)
         });
         costs.sum()
     }
 
-    /// Sums of all bounds and of all weights at a state, in common units.
-    fn compare(&self, state: &State) -> [f64; 2] {
-        let mut sums = vec![Abreast::splat(0.0); self.blocks + 1];
-        let Look { place, shift, upto, .. } =
-            dispatch(Bounds { columns: self, state, sums: &mut sums });
-        let weighed = self.states.chunks_exact(self.dimension).map(|states| {
-            let weigh = |k: usize| {
-                let apart = states.iter().zip(place).map(|(of, z)| f64::from(of[k] - z).powi(2));
-                (f64::from(shift) - apart.sum::<f64>()).exp2()
-            };
-            (0..ABREAST).map(weigh).sum::<f64>()
-        });
-        [f64::from(upto[ABREAST - 1]), weighed.sum()]
+    /// Bounds of all bundles, of all columns, and the weights of all rows at a state, in common
+    /// units.
+    fn weigh(&self, state: &State) -> [Vec<f32>; 3] {
+        dispatch(Weigh { columns: self, state })
     }
 
     /// Draws a row for each of the first states, as many as there are random streams, by the
@@ -222,39 +361,64 @@ impl Columns {
     }
 }
 
+/// A binary logarithm, not below that of what is as good as nothing, and by the margin too much.
+fn log2_above(sum: f64) -> f32 {
+    (sum.log2() + MARGIN).max(NOTHING) as f32
+}
+
 /// Room for what is looked up at some states.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Scratch {
-    /// Sums of the bounds over the blocks before each, and over all, state by state.
+    /// Sums of the bundles' bounds over the registers before each, and over all, state by state.
     sums: Vec<Abreast>,
-    looks: Vec<Look>,
+    looks: Looks,
 }
 
-/// What there is to draw from at a state.
-#[derive(Debug, Clone, Copy, Default)]
-struct Look {
-    place: [f32; MAX_DIMENSION],
-    /// Added to the binary logarithm of a row's kernel, to compare it with the bounds.
-    shift: f32,
-    /// Sums of the bounds in all blocks over the places before each, and up to each.
-    before: Abreast,
-    upto: Abreast,
+/// What there is to draw from at some states.
+#[derive(Debug, Clone, Default)]
+struct Looks {
+    /// The states, component by component.
+    place: [Abreast; MAX_DIMENSION],
+    /// Added to the binary logarithm of a column's bound, and of a row's kernel, to compare it with
+    /// the bundles' bounds.
+    of_columns: Abreast,
+    of_rows: Abreast,
+    /// Nodes of the columns' table, and their shares.
+    nodes: [[u32; ABREAST]; TABLED + 1],
+    shares: [Abreast; TABLED + 1],
+    /// Sums of the bounds up to each place of all registers, state by state.
+    upto: [Abreast; ABREAST],
 }
 
-/// Works out the bounds at a state.
-struct Bounds<'a> {
+/// Works out all bounds at a state.
+struct Weigh<'a> {
     columns: &'a Columns,
     state: &'a State,
-    sums: &'a mut [Abreast],
 }
 
-impl WithSimd for Bounds<'_> {
-    type Output = Look;
+impl WithSimd for Weigh<'_> {
+    type Output = [Vec<f32>; 3];
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Look {
-        let Columns { dimension, boxed, .. } = *self.columns;
-        self.columns.look(simd, |k| self.state[k], dimension, boxed, self.sums)
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { columns, state } = self;
+        let states = state.map(|z| [z; ABREAST]);
+        let (d, scratch) = (columns.dimension, &mut Scratch::default());
+        columns.look_up(simd, &states, 1, d, scratch);
+        let Scratch { sums, looks } = scratch;
+        let mut all = [vec![], vec![], vec![]];
+        for pair in sums[..=columns.registers].windows(2) {
+            all[0].extend((0..ABREAST).map(|k| pair[1][k] - pair[0][k]));
+        }
+        for bundle in 0..columns.registers * ABREAST {
+            let bounds = columns.of_columns(&Trial::of(bundle, 0), looks, d);
+            all[1].extend(bounds.iter().flat_map(|of| of.0).map(power));
+        }
+        for column in 0..columns.registers * ABREAST * WIDE * ABREAST {
+            let weights = columns.of_rows(&Trial::of(column, 0), looks, d);
+            all[2].extend(weights.0.map(power));
+        }
+        all
     }
 }
 
@@ -272,59 +436,72 @@ impl<R: Rng> WithSimd for Draw<'_, '_, R> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Columns { dimension, boxed, .. } = *self.columns;
+        let d = self.columns.dimension;
         // The usual order has code of its own.
-        if dimension == 4 { self.draw(simd, 4, 2) } else { self.draw(simd, dimension, boxed) }
+        if d == 4 { self.draw(simd, 4) } else { self.draw(simd, d) }
     }
 }
 
 impl<R: Rng> Draw<'_, '_, R> {
     #[inline(always)]
-    fn draw<S: Simd>(self, simd: S, d: usize, boxed: usize) {
-        let Self { columns, states, rngs, scratch: Scratch { sums, looks }, drawn } = self;
-        let room = columns.blocks + 1;
-        sums.resize(room * ABREAST, Abreast::splat(0.0));
-        looks.resize(ABREAST, Look::default());
+    fn draw<S: Simd>(self, simd: S, d: usize) {
+        let Self { columns, states, rngs, scratch, drawn } = self;
+        columns.look_up(simd, states, rngs.len(), d, scratch);
+        let Scratch { sums, looks } = scratch;
+        let room = columns.registers + 1;
         let mut waiting = [0; ABREAST];
         let mut count = 0;
         for number in 0..rngs.len() {
-            let sums = &mut sums[number * room..][..room];
-            looks[number] = columns.look(simd, |k| states[k][number], d, boxed, sums);
             // Single precision does not tell bounds apart that are next to nothing.
             waiting[count] = number;
-            count += usize::from(looks[number].upto[ABREAST - 1] >= LEAST_TOTAL);
+            count += usize::from(looks.upto[number][ABREAST - 1] >= LEAST_TOTAL);
         }
         let mut slots = [usize::MAX; ABREAST];
         let mut trials = [Trial::default(); ABREAST];
-        let mut weights = [[Abreast::splat(0.0); DEPTH]; ABREAST];
+        let mut of_columns = [[Abreast::default(); WIDE]; ABREAST];
+        let mut of_rows = [Abreast::default(); ABREAST];
         for _ in 0..MAX_TRIALS {
             if count == 0 {
                 break;
             }
-            // Each step is taken for all that wait before the next is, and none depends on what
-            // was drawn: the processor takes several at the same time.
-            let waits = &waiting[..count];
-            for (trial, number) in trials.iter_mut().zip(waits) {
-                *trial = Trial::begin(simd, &looks[*number], rngs[*number].random());
+            // Each stage is gone through for all that wait before the next is: the processor takes
+            // several at the same time.
+            for (trial, number) in trials.iter_mut().zip(&waiting[..count]) {
+                let sums = &sums[number * room..][..room];
+                *trial = Trial::begin(simd, *number, sums, looks, rngs[*number].random());
             }
-            for (trial, number) in trials.iter_mut().zip(waits) {
-                trial.find_block(&sums[number * room..][..room]);
+            for (trial, exponents) in trials[..count].iter().zip(&mut of_columns) {
+                *exponents = columns.of_columns(trial, looks, d);
             }
-            for ((trial, number), weights) in trials.iter().zip(waits).zip(&mut weights) {
-                *weights = columns.exponents(trial, &looks[*number], d);
-            }
-            for weights in weights[..count].iter_mut().flatten() {
-                *weights = Abreast::of(|k| power(weights[k]));
+            for weights in &mut of_columns[..count] {
+                for weights in weights {
+                    *weights = Abreast::of(|k| power(weights[k]));
+                }
             }
             let mut left = 0;
             for at in 0..count {
-                let number = waiting[at];
-                let row = trials[at].row(simd, &weights[at]);
-                slots[number] = trials[at].column() * DEPTH * ABREAST + row.unwrap_or(0);
-                waiting[left] = number;
-                left += usize::from(row.is_none());
+                let mut trial = trials[at];
+                let found = trial.narrow(simd, &of_columns[at]);
+                // Those without a column go to the end.
+                trials[at] = trials[left];
+                trials[left] = trial;
+                left += usize::from(found);
             }
-            count = left;
+            for (trial, exponents) in trials[..left].iter().zip(&mut of_rows) {
+                *exponents = columns.of_rows(trial, looks, d);
+            }
+            for weights in &mut of_rows[..left] {
+                *weights = Abreast::of(|k| power(weights[k]));
+            }
+            let mut again = 0;
+            for at in 0..count {
+                let mut trial = trials[at];
+                let found = at < left && trial.narrow(simd, &[of_rows[at]]);
+                slots[trial.number] = trial.slot;
+                waiting[again] = trial.number;
+                again += usize::from(!found);
+            }
+            count = again;
         }
         for number in &waiting[..count] {
             slots[*number] = usize::MAX;
@@ -338,42 +515,38 @@ impl<R: Rng> Draw<'_, '_, R> {
 /// A trial to draw a row.
 #[derive(Clone, Copy, Default)]
 struct Trial {
-    /// Where the column is that is drawn.
-    block: usize,
-    place: usize,
-    /// What of the sums over the blocks is left for it.
-    inside: f32,
-    /// What of its bound draws the row; at first the share of it.
+    /// The state it is at.
+    number: usize,
+    /// The bundle that is drawn, then the column, then the row.
+    slot: usize,
+    /// What of its bound draws what is next.
     left: f32,
 }
 
 impl Trial {
-    /// 24 random bits choose the column, the other 40 the row in it.
     #[inline(always)]
-    fn begin<S: Simd>(simd: S, look: &Look, bits: u64) -> Self {
+    fn of(slot: usize, number: usize) -> Self {
+        Self { number, slot, left: 0.0 }
+    }
+
+    /// 24 random bits choose the bundle, the other 40 the column and the row.
+    #[inline(always)]
+    fn begin<S: Simd>(simd: S, number: usize, sums: &[Abreast], looks: &Looks, bits: u64) -> Self {
+        let (upto, last) = (&looks.upto[number], sums.len() - 2);
         let share = (bits >> 40) as u32 as f32 / (1_u64 << 24) as f32;
-        let at = share * look.upto[ABREAST - 1];
-        let place = look.upto.first_above(simd, at).min(ABREAST - 1);
+        let at = share * upto[ABREAST - 1];
+        let place = upto.first_above(simd, at).min(ABREAST - 1);
+        let inside = at - (upto[place] - sums[last + 1][place]);
+        let register = sums[1..].partition_point(|sum| sum[place] <= inside).min(last);
         let left = (bits & 0xff_ffff_ffff) as f32 / (1_u64 << 40) as f32;
-        Self { block: 0, place, inside: at - look.before[place], left }
+        // What the bundle was drawn with, rounding included.
+        let bound = sums[register + 1][place] - sums[register][place];
+        Self { number, slot: register * ABREAST + place, left: left * bound }
     }
 
+    /// Goes on to one of what is in the slot, by their weights; false if that draws none.
     #[inline(always)]
-    fn find_block(&mut self, sums: &[Abreast]) {
-        let (place, inside, last) = (self.place, self.inside, sums.len() - 2);
-        self.block = sums[1..].partition_point(|sum| sum[place] <= inside).min(last);
-        // What the column was drawn with, rounding included.
-        self.left *= sums[self.block + 1][place] - sums[self.block][place];
-    }
-
-    #[inline(always)]
-    fn column(&self) -> usize {
-        self.block * ABREAST + self.place
-    }
-
-    /// The row that is drawn, counted in its column.
-    #[inline(always)]
-    fn row<S: Simd>(&self, simd: S, weights: &[Abreast; DEPTH]) -> Option<usize> {
+    fn narrow<S: Simd, const N: usize>(&mut self, simd: S, weights: &[Abreast; N]) -> bool {
         let mut sum = weights[0];
         for weights in &weights[1..] {
             sum = Abreast::of(|k| sum[k] + weights[k]);
@@ -381,76 +554,132 @@ impl Trial {
         let upto = sum.running(simd);
         let found = upto.first_above(simd, self.left);
         let place = found.min(ABREAST - 1);
-        let mut left = self.left - upto.before(simd)[place];
+        let mut left = greater(self.left - (upto[place] - sum[place]), 0.0);
         let mut depth = 0;
-        for weights in &weights[..DEPTH - 1] {
-            left -= weights[place];
-            depth += usize::from(left >= 0.0);
+        let mut beyond = true;
+        for weights in &weights[..N - 1] {
+            beyond &= left >= weights[place];
+            left -= if beyond { weights[place] } else { 0.0 };
+            depth += usize::from(beyond);
         }
-        (found < ABREAST).then_some(depth * ABREAST + place)
+        self.left = left;
+        self.slot = (self.slot * N + depth) * ABREAST + place;
+        found < ABREAST
     }
 }
 
 impl Columns {
-    /// Works out the bounds at a state, and their sums over the blocks.
+    /// Works out the bundles' bounds at the first states, and what the other bounds need.
     #[inline(always)]
-    fn look<S: Simd>(
+    fn look_up<S: Simd>(
         &self,
         simd: S,
-        state: impl Fn(usize) -> f64,
+        states: &States,
+        count: usize,
         d: usize,
-        boxed: usize,
-        sums: &mut [Abreast],
-    ) -> Look {
-        let mut place = [0.0; MAX_DIMENSION];
-        for (k, place) in place[..d].iter_mut().enumerate() {
-            *place = (state(k) * self.unit) as f32;
+        scratch: &mut Scratch,
+    ) {
+        if d == TABLED {
+            self.look::<S, TABLED>(simd, states, count, d, scratch);
+        } else {
+            self.look::<S, LATTICED>(simd, states, count, d, scratch);
         }
-        let mut shift = 0.0;
-        let mut node = [0; TABLED];
-        let mut share = [[1.0, 0.0]; TABLED];
-        if boxed < d {
-            for (k, axis) in self.lattice.iter().enumerate() {
-                let (before, f, beyond) = axis.locate(place[boxed + k]);
-                (node[k], share[k]) = (before, [1.0 - f, f]);
-                shift += beyond * beyond - axis.spacing * axis.spacing * f * (1.0 - f);
+    }
+
+    #[inline(always)]
+    fn look<S: Simd, const K: usize>(
+        &self,
+        simd: S,
+        states: &States,
+        count: usize,
+        d: usize,
+        Scratch { sums, looks }: &mut Scratch,
+    ) {
+        for (place, state) in looks.place[..d].iter_mut().zip(states) {
+            *place = Abreast::of(|at| (state[at] * self.unit) as f32);
+        }
+        let lattice = &self.lattice[..K];
+        let mut inside = [Abreast::default(); K];
+        let mut beyond = [Abreast::default(); K];
+        for (k, axis) in lattice.iter().enumerate() {
+            (inside[k], beyond[k]) = axis.locate(&looks.place[d - K + k]);
+        }
+        let nodes = std::array::from_fn(|k| lattice[k].nodes);
+        let simplices = Simplices::around(&inside, nodes);
+        let mut shift = Abreast::default();
+        for (k, axis) in lattice.iter().enumerate() {
+            if k == K - TABLED {
+                looks.of_columns = shift;
+            }
+            let (square, above, beyond) =
+                (axis.spacing * axis.spacing, simplices.above[k], beyond[k]);
+            shift = Abreast::of(|at| (-square).mul_add(above[at], shift[at]));
+            shift = Abreast::of(|at| beyond[at].mul_add(beyond[at], shift[at]));
+        }
+        looks.of_rows = shift;
+        let tabled: [_; TABLED] = [inside[K - 2], inside[K - 1]];
+        let in_table = Simplices::around(&tabled, [nodes[K - 2], nodes[K - 1]]);
+        (looks.nodes[0], looks.shares[0]) = (in_table.first, in_table.of_first);
+        for k in 0..TABLED {
+            for at in 0..ABREAST {
+                looks.nodes[k + 1][at] = looks.nodes[k][at] + in_table.steps[k][at];
+            }
+            looks.shares[k + 1] = in_table.shares[k];
+        }
+        let room = self.registers + 1;
+        sums.resize(room * ABREAST, Abreast::default());
+        for number in 0..count {
+            let mut totals = Abreast::default();
+            let sums = &mut sums[number * room..][..room];
+            sums[0] = totals;
+            for register in 0..self.registers {
+                let mut node = simplices.first[number] as usize;
+                let line = self.bundle_sums[node * self.registers + register];
+                let mut log2 = Abreast::of(|k| line[k] * simplices.of_first[number]);
+                for (step, share) in simplices.steps.iter().zip(&simplices.shares) {
+                    node += step[number] as usize;
+                    let line = self.bundle_sums[node * self.registers + register];
+                    log2 = Abreast::of(|k| line[k].mul_add(share[number], log2[k]));
+                }
+                let boxes = &self.bundle_boxes[register * (d - K)..][..d - K];
+                for (of, place) in boxes.iter().zip(&looks.place) {
+                    log2 = less_distance2(log2, &[*of], &[place[number]]);
+                }
+                totals = Abreast::of(|k| totals[k] + power(log2[k]));
+                sums[register + 1] = totals;
+            }
+            looks.upto[number] = totals.running(simd);
+        }
+    }
+
+    /// Binary logarithms of the bounds of a bundle's columns.
+    #[inline(always)]
+    fn of_columns(&self, trial: &Trial, looks: &Looks, d: usize) -> [Abreast; WIDE] {
+        let (boxed, number, first) = (d - TABLED, trial.number, trial.slot * WIDE);
+        let registers = self.registers * ABREAST * WIDE;
+        let mut exponents = [Abreast::splat(looks.of_columns[number]); WIDE];
+        for (node, share) in looks.nodes.iter().zip(&looks.shares) {
+            let lines = &self.sums[node[number] as usize * registers + first..][..WIDE];
+            for (exponents, line) in exponents.iter_mut().zip(lines) {
+                *exponents = Abreast::of(|k| line[k].mul_add(share[number], exponents[k]));
             }
         }
-        let corner = |i: usize, j: usize| {
-            let number = (node[0] + i) * self.lattice[1].nodes + node[1] + j;
-            (&self.sums[number * self.blocks..][..self.blocks], share[0][i] * share[1][j])
-        };
-        let [(a, of_a), (b, of_b), (c, of_c), (e, of_e)] =
-            [corner(0, 0), corner(0, 1), corner(1, 0), corner(1, 1)];
-        let boxes = &self.boxes[..self.blocks * boxed];
-        let sums = &mut sums[..self.blocks + 1];
-        let mut totals = Abreast::splat(0.0);
-        sums[0] = totals;
-        for block in 0..self.blocks {
-            let (a, b, c, e) = (&a[block], &b[block], &c[block], &e[block]);
-            let log2 = Abreast::of(|k| {
-                a[k].mul_add(of_a, b[k].mul_add(of_b, c[k].mul_add(of_c, e[k] * of_e)))
-            });
-            let boxes = &boxes[block * boxed..][..boxed];
-            let log2 = less_distance2(log2, boxes, &place[..boxed]);
-            totals = Abreast::of(|k| totals[k] + chord(log2[k]));
-            sums[block + 1] = totals;
+        let boxes = &self.boxes[first * boxed..][..WIDE * boxed];
+        for (n, exponents) in exponents.iter_mut().enumerate() {
+            for (of, place) in boxes[n * boxed..][..boxed].iter().zip(&looks.place) {
+                *exponents = less_distance2(*exponents, &[*of], &[place[number]]);
+            }
         }
-        let upto = totals.running(simd);
-        Look { place, shift, before: upto.before(simd), upto }
+        exponents
     }
 
     /// Binary logarithms of the weights of a column's rows.
     #[inline(always)]
-    fn exponents(&self, trial: &Trial, look: &Look, d: usize) -> [Abreast; DEPTH] {
-        let mut exponents = [Abreast::splat(look.shift); DEPTH];
-        let states = &self.states[trial.column() * DEPTH * d..][..DEPTH * d];
-        for (exponents, states) in exponents.iter_mut().zip(states.chunks_exact(d)) {
-            let mut log2 = *exponents;
-            for (of, z) in states.iter().zip(&look.place) {
-                log2 = Abreast::of(|k| (-(of[k] - z)).mul_add(of[k] - z, log2[k]));
-            }
-            *exponents = log2;
+    fn of_rows(&self, trial: &Trial, looks: &Looks, d: usize) -> Abreast {
+        let mut exponents = Abreast::splat(looks.of_rows[trial.number]);
+        for (of, place) in self.states[trial.slot * d..][..d].iter().zip(&looks.place) {
+            let z = place[trial.number];
+            exponents = Abreast::of(|k| (-(of[k] - z)).mul_add(of[k] - z, exponents[k]));
         }
         exponents
     }
@@ -487,23 +716,53 @@ mod tests {
     #[test]
     fn an_axis_spans_its_values() {
         let values = [-3.0, 0.1, 4.0];
-        let axis = Axis::spanning(values.into_iter());
-        let last = axis.low + (axis.nodes - 1) as f32 * axis.spacing;
-        assert!((-3.001..=-3.0).contains(&axis.low) && (4.0..4.001).contains(&last));
-        assert!(f64::from(axis.spacing) < 1.001 * SPACING);
-        for value in [-3.0, 0.1, 4.0_f32] {
-            let (node, f, beyond) = axis.locate(value);
-            assert!(node + 1 < axis.nodes && (0.0..=1.0).contains(&f) && beyond == 0.0);
-            let there = axis.low + (node as f32 + f) * axis.spacing;
-            assert!((there - value).abs() < 1e-5, "{there} {value}");
-            let kernels = axis.kernels(f64::from(value));
-            let apart = f64::from(value) - f64::from(axis.low);
-            assert!((kernels[0] / (-apart * apart).exp2() - 1.0).abs() < 1e-9);
+        let axis = Axis::spanning(values.into_iter(), 0.7);
+        let last = axis.at(axis.nodes - 1);
+        assert!((-3.001..=-3.0).contains(&axis.at(0)) && (4.0..4.001).contains(&last));
+        assert!(f64::from(axis.spacing) < 1.001 * 0.7);
+        let (inside, beyond) = axis.locate(&Abreast::of(|k| [-3.0, 0.1, 4.0, 5.0, -5.0][k % 5]));
+        for (k, value) in values.into_iter().enumerate() {
+            let there = axis.at(0) + f64::from(inside[k] * axis.spacing);
+            assert!((there - value).abs() < 1e-5 && beyond[k].abs() < 1e-5, "{there} {value}");
         }
-        let (node, f, beyond) = axis.locate(5.0);
-        assert!((node, f) == (axis.nodes - 2, 1.0) && (beyond - 1.0).abs() < 1e-3);
-        let (node, f, beyond) = axis.locate(-5.0);
-        assert!((node, f) == (0, 0.0) && (beyond + 2.0).abs() < 1e-3);
+        assert!((inside[3], inside[4]) == ((axis.nodes - 1) as f32, 0.0));
+        assert!((beyond[3] - 1.0).abs() < 1e-3 && (beyond[4] + 2.0).abs() < 1e-3);
+    }
+
+    /// Shares are those of a linear interpolation between nodes around, and what it has too much of
+    /// the square is told.
+    #[test]
+    fn simplices_interpolate() {
+        let nodes = [7, 5, 9];
+        let last = nodes.map(|n| (n - 1) as f32);
+        let place = |k: usize, at: usize| last[k] * [0.0, 1.0, 0.5, 0.31, 0.77][(at + k * at) % 5];
+        let places: [Abreast; 3] = std::array::from_fn(|k| Abreast::of(|at| place(k, at)));
+        let around = Simplices::around(&places, nodes);
+        for at in 0..ABREAST {
+            let (mut share, mut node) = (around.of_first[at], around.first[at] as usize);
+            let mut interpolated = [0.0; 3];
+            let mut squares = [0.0; 3];
+            let mut shares = 0.0;
+            for k in 0..=3 {
+                let of = [node / 45, node / 9 % 5, node % 9].map(|of| of as f32);
+                for c in 0..3 {
+                    assert!(share <= 0.0 || (of[c] - places[c][at]).abs() < 1.0 + 1e-6);
+                    interpolated[c] += share * of[c];
+                    squares[c] += share * of[c] * of[c];
+                }
+                assert!(share >= 0.0 && node < 7 * 45);
+                shares += share;
+                if k < 3 {
+                    (share, node) = (around.shares[k][at], node + around.steps[k][at] as usize);
+                }
+            }
+            assert!((shares - 1.0).abs() < 1e-6);
+            for c in 0..3 {
+                let place = places[c][at];
+                assert!((interpolated[c] - place).abs() < 1e-5, "{at} {c}");
+                assert!((squares[c] - place * place - around.above[c][at]).abs() < 1e-4);
+            }
+        }
     }
 
     #[test]
@@ -511,45 +770,55 @@ mod tests {
         assert!(Columns::new(&states(333, 4), 4, 1e-3).is_none());
         assert!(Columns::new(&[1e300, 0.0, -1e300, 0.0], 2, 0.3).is_none());
         assert!(Columns::new(&states(100_000, 4), 4, 0.01).is_none());
+        assert!(Columns::new(&states(100_000, 2), 2, 0.003).is_none());
     }
 
-    /// The bound of each column is above the sum of its rows' weights, beyond the lattice, too; and
-    /// not by much where the bandwidth is wide.
+    /// The bound of each bundle is above the sum of its columns', and that of each column above the
+    /// sum of its rows' weights, beyond the lattice, too; and not by much where the bandwidth is
+    /// wide.
     #[test]
     fn bounds_hold() -> Result<(), &'static str> {
-        for d in [2, 4, 6] {
-            let whitened = states(700, d);
+        for (count, d) in [(700, 2), (700, 4), (9000, 4), (700, 6)] {
+            let whitened = states(count, d);
             for (bandwidth, reach) in [(0.3, 1.4), (1.0, 4.0), (1.0, 1.0)] {
                 let columns = Columns::new(&whitened, d, bandwidth).ok_or("too many nodes")?;
-                let mut sums = vec![Abreast::splat(0.0); columns.blocks + 1];
+                let states: Vec<f64> = whitened.iter().map(|z| z * columns.unit).collect();
                 for number in 0..50 {
                     let mut state = [0.0; MAX_DIMENSION];
                     for (k, value) in state[..d].iter_mut().enumerate() {
                         *value = 2.0 * reach * (1.3 * (7 * number + k) as f64).sin();
                     }
-                    let kernel = Bounds { columns: &columns, state: &state, sums: &mut sums };
-                    let Look { place, shift, .. } = dispatch(kernel);
-                    let (mut bounded, mut weighed) = (0.0, 0.0);
-                    for column in 0..columns.blocks * ABREAST {
-                        let (block, at) = (column / ABREAST, column % ABREAST);
-                        let bound = f64::from(sums[block + 1][at]) - f64::from(sums[block][at]);
-                        let of = &columns.states[column * DEPTH * d..][..DEPTH * d];
-                        let weights = of.chunks_exact(d).flat_map(|states| {
-                            (0..ABREAST).map(move |k| {
-                                let apart = states.iter().zip(place).map(|(of, z)| of[k] - z);
-                                let distance2: f64 = apart.map(|a| f64::from(a).powi(2)).sum();
-                                (f64::from(shift) - distance2).exp2()
-                            })
-                        });
-                        let weight: f64 = weights.sum();
-                        let rounding = 2e-7 * f64::from(sums[block + 1][at]);
-                        assert!(weight <= bound + rounding, "{weight} {bound}");
-                        (bounded, weighed) = (bounded + bound, weighed + weight);
+                    let [bundles, of_columns, rows] =
+                        columns.weigh(&state).map(|of| of.into_iter().map(f64::from).collect());
+                    let all = |of: &Vec<f64>| -> f64 { of.iter().sum() };
+                    let rounding = 2e-7 * all(&bundles);
+                    let within = |above: &Vec<f64>, below: &Vec<f64>| {
+                        let parts = below.chunks_exact(below.len() / above.len());
+                        for (bound, parts) in above.iter().zip(parts) {
+                            let sum: f64 = parts.iter().sum();
+                            assert!(sum <= bound + rounding, "{sum} {bound}");
+                        }
+                    };
+                    within(&bundles, &of_columns);
+                    within(&of_columns, &rows);
+                    let (bounded, weighed) = (all(&bundles), all(&rows));
+                    let loosest = [1.3, 2.2, 20.0][d / 2 - 1];
+                    assert!(reach > 1.0 || bounded < loosest * weighed, "{d}: {bounded} {weighed}");
+                    // The weights are the kernels, but for a common factor.
+                    let of = |row: &[f64]| -> f64 {
+                        let apart = row.iter().zip(state).map(|(a, z)| a - z * columns.unit);
+                        (-apart.map(|a| a.powi(2)).sum::<f64>()).exp2()
+                    };
+                    let kernels: f64 = states.chunks_exact(d).map(of).sum();
+                    for (slot, weight) in rows.iter().enumerate().step_by(7) {
+                        let row = columns.rows[slot] as usize;
+                        let kernel = of(&states[row * d..][..d]) / kernels;
+                        if columns.states[slot / ABREAST * d][slot % ABREAST].is_finite() {
+                            assert!((weight / weighed - kernel).abs() < 1e-4 * kernel + 1e-9);
+                        } else {
+                            assert_eq!(*weight, 0.0);
+                        }
                     }
-                    assert!(reach > 1.0 || bounded < 12.0 * weighed, "{d}: {bounded} {weighed}");
-                    let [all_bounds, all_weights] = columns.compare(&state);
-                    assert!((all_bounds / bounded - 1.0).abs() < 1e-5);
-                    assert!((all_weights / weighed - 1.0).abs() < 1e-9);
                 }
             }
         }
