@@ -430,20 +430,23 @@ impl<'a> Ensemble<'a> {
         match self.winds {
             Winds::Drawn { generator, seed } => {
                 generator.steps(self.end, self.sampling)?;
-                let winds = members.map(|member| generator.member(*seed, member));
-                LaneWind::drawn(generator, winds, self.sampling)
+                let mut winds = generator.winds(*seed);
+                for member in members {
+                    winds.begin(member)?;
+                }
+                Ok(LaneWind::drawn(winds, self.sampling))
             }
             Winds::Branched { generator, seed, particles, .. } => {
                 generator.steps(self.end, self.sampling)?;
+                let mut winds = generator.winds(*seed);
                 let range = members.start as usize..members.end as usize;
-                let particles = particles.get(range).unwrap_or_default().iter();
-                let winds = particles.map(|particle| match particle.start() {
-                    Some(start) => {
-                        Ok(generator.resumed(*seed, particle.lineage(), start.wind.member()))
+                for particle in particles.get(range).unwrap_or_default() {
+                    match particle.start() {
+                        Some(start) => winds.resume(particle.lineage(), start.wind.member()),
+                        None => winds.begin(particle.lineage().clone())?,
                     }
-                    None => generator.member(*seed, particle.lineage().clone()),
-                });
-                LaneWind::drawn(generator, winds, self.sampling)
+                }
+                Ok(LaneWind::drawn(winds, self.sampling))
             }
             Winds::InMemory(paths) => {
                 paths.require(0.0, self.end)?;

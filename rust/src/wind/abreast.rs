@@ -11,8 +11,10 @@ use std::ops::{Index, IndexMut};
 use pulp::Simd;
 use pulp::bytemuck::cast;
 
+use crate::lanes::WIDTH;
+
 /// How many are worked out together.
-pub(super) const ABREAST: usize = 16;
+pub(super) const ABREAST: usize = WIDTH;
 
 /// Most components of a state.
 pub(super) const MAX_DIMENSION: usize = 16;

@@ -14,7 +14,6 @@
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use smallvec::SmallVec;
 
 use super::abreast::{ABREAST, MAX_DIMENSION, State, States};
 use super::columns::{self, Columns};
@@ -57,13 +56,6 @@ pub struct Catalogue {
     pub bandwidth: f64,
 }
 
-impl Chain {
-    /// Row of the record whose successor gave the chain its present value; none if it was handed.
-    pub fn predecessor(&self) -> Option<usize> {
-        self.predecessor
-    }
-}
-
 /// The present state of a simulation.
 #[derive(Debug, Clone)]
 pub struct Chain {
@@ -71,6 +63,51 @@ pub struct Chain {
     /// Row of the record whose successor gave the present value, if one did.
     predecessor: Option<usize>,
     phase: usize,
+}
+
+/// The present states of several simulations, side by side.
+#[derive(Debug, Clone)]
+pub(crate) struct Chains {
+    /// Component by component, as many as a state has.
+    states: Vec<[f64; ABREAST]>,
+    predecessor: [Option<usize>; ABREAST],
+    phase: [usize; ABREAST],
+}
+
+impl Chains {
+    /// One of them.
+    pub(crate) fn get(&self, at: usize) -> Chain {
+        let (predecessor, phase) = (self.predecessor[at], self.phase[at]);
+        Chain { state: one(&self.states, at), predecessor, phase }
+    }
+
+    /// Puts one in its place.
+    pub(crate) fn set(&mut self, at: usize, chain: &Chain) {
+        for (component, value) in self.states.iter_mut().zip(&chain.state) {
+            component[at] = *value;
+        }
+        (self.predecessor[at], self.phase[at]) = (chain.predecessor, chain.phase);
+    }
+
+    /// Row of the record whose successor gave one its present value; none if it was handed.
+    pub(crate) fn predecessor(&self, at: usize) -> Option<usize> {
+        self.predecessor[at]
+    }
+
+    /// The next value of some of them.
+    fn push(&mut self, numbers: &[usize], [x, y]: &[[f64; ABREAST]; 2], phases: usize) {
+        for k in (2..self.states.len()).rev() {
+            let earlier = self.states[k - 2];
+            for at in numbers {
+                self.states[k][*at] = earlier[*at];
+            }
+        }
+        for at in numbers {
+            (self.states[0][*at], self.states[1][*at]) = (x[*at], y[*at]);
+            let next = self.phase[*at] + 1;
+            self.phase[*at] = if next == phases { 0 } else { next };
+        }
+    }
 }
 
 /// A fitted bootstrap, ready to simulate.
@@ -155,7 +192,7 @@ impl Bootstrap {
         let mut whitened = Vec::with_capacity(n * d);
         let mut scratch = Scratch::default();
         for i in 0..n {
-            bootstrap.whiten([&bootstrap.state(i)], &mut scratch);
+            bootstrap.whiten(&beside(&bootstrap.state(i), d), &mut scratch);
             whitened.extend(scratch.whitened.iter().map(|z| z[0]));
         }
         for k in 0..d {
@@ -170,15 +207,16 @@ impl Bootstrap {
     /// Some whitened states that a simulation comes to.
     fn visited(&self) -> Result<Vec<State>, DriftError> {
         let mut rng = ChaCha8Rng::seed_from_u64(0);
-        let mut chain = self.start(None, &mut rng)?;
+        let mut chains = self.chains();
+        chains.set(0, &self.start(None, &mut rng)?);
         let mut scratch = Scratch::default();
         let mut visited = Vec::new();
         for step in 0..VISITS * STEPS_BETWEEN {
             if step % STEPS_BETWEEN == 0 {
-                self.whiten([&chain.state], &mut scratch);
+                self.whiten(&chains.states, &mut scratch);
                 visited.push(one(&scratch.whitened, 0));
             }
-            self.step(&mut [&mut chain], &mut [&mut rng], &mut scratch);
+            self.step(&mut chains, &[0], std::slice::from_mut(&mut rng), &mut scratch);
         }
         Ok(visited)
     }
@@ -204,19 +242,12 @@ impl Bootstrap {
         state
     }
 
-    /// Puts states side by side, and whitens them.
-    fn whiten<'a>(&self, states: impl IntoIterator<Item = &'a State>, scratch: &mut Scratch) {
+    fn whiten(&self, states: &States, scratch: &mut Scratch) {
         let d = self.dimension();
-        let Scratch { states: components, whitened, .. } = scratch;
-        components.resize(d, [0.0; ABREAST]);
-        whitened.resize(d, [0.0; ABREAST]);
-        for (at, state) in states.into_iter().enumerate() {
-            for (component, value) in components.iter_mut().zip(state) {
-                component[at] = *value;
-            }
-        }
-        for (z, row) in whitened.iter_mut().zip(self.catalogue.whitening.chunks_exact(d)) {
-            *z = combined(row, components, 0.0);
+        scratch.whitened.resize(d, [0.0; ABREAST]);
+        let rows = self.catalogue.whitening.chunks_exact(d);
+        for (z, row) in scratch.whitened.iter_mut().zip(rows) {
+            *z = combined(row, states, 0.0);
         }
     }
 
@@ -245,27 +276,42 @@ impl Bootstrap {
         chosen.or_else(|| weights.iter().rposition(|weight| *weight > 0.0)).unwrap_or(0)
     }
 
-    /// Draws a row with weight `exp(−|z − z_i|²/2h²)` for each of the first whitened states, as many
-    /// as there are random streams.
-    fn draw<R: Rng>(&self, rngs: &mut [&mut R], scratch: &mut Scratch) -> [usize; ABREAST] {
-        let Scratch { whitened, columns, tree, .. } = scratch;
+    /// Draws a row with weight `exp(−|z − z_i|²/2h²)` for some of the whitened states, each of which
+    /// has a random stream of its own.
+    fn draw<R: Rng>(
+        &self,
+        numbers: &[usize],
+        rngs: &mut [R],
+        scratch: &mut Scratch,
+    ) -> [usize; ABREAST] {
+        let Scratch { whitened, columns, tree } = scratch;
         let (bandwidth, d) = (self.catalogue.bandwidth, self.dimension());
         let mut drawn = [None; ABREAST];
         match &self.proposals {
             Proposals::None => {}
-            Proposals::Columns(of) => of.draw(whitened, rngs, columns, &mut drawn),
+            Proposals::Columns(of) => of.draw(whitened, numbers, rngs, columns, &mut drawn),
             Proposals::Tree(of) => {
-                for (at, rng) in rngs.iter_mut().enumerate() {
-                    drawn[at] = of.draw(&one(whitened, at)[..d], bandwidth, *rng, tree);
+                for at in numbers {
+                    let z = &one(whitened, *at)[..d];
+                    drawn[*at] = of.draw(z, bandwidth, &mut rngs[*at], tree);
                 }
             }
         }
         let mut rows = [0; ABREAST];
-        for (at, rng) in rngs.iter_mut().enumerate() {
-            let weigh_all = || self.weigh_all(&one(whitened, at)[..d], *rng);
-            rows[at] = drawn[at].unwrap_or_else(weigh_all);
+        for at in numbers {
+            let weigh_all = || self.weigh_all(&one(whitened, *at)[..d], &mut rngs[*at]);
+            rows[*at] = drawn[*at].unwrap_or_else(weigh_all);
         }
         rows
+    }
+
+    /// Room for chains, all at nothing.
+    pub(crate) fn chains(&self) -> Chains {
+        Chains {
+            states: vec![[0.0; ABREAST]; self.dimension()],
+            predecessor: [None; ABREAST],
+            phase: [0; ABREAST],
+        }
     }
 
     /// A chain at a random row of the record, of the given phase if one is given.
@@ -302,63 +348,50 @@ impl Bootstrap {
         Chain { state: [0.0; MAX_DIMENSION], predecessor: None, phase }
     }
 
-    /// Moves the chain by one step of the record, to an anomaly that is given.
-    pub(crate) fn hand(&self, chain: &mut Chain, anomaly: Vec2) {
-        self.push(chain, anomaly.into());
-        chain.predecessor = None;
+    /// Moves one of the chains by one step of the record, to an anomaly that is given.
+    pub(crate) fn hand(&self, chains: &mut Chains, at: usize, anomaly: Vec2) {
+        chains.push(&[at], &[[anomaly.x; ABREAST], [anomaly.y; ABREAST]], self.phases());
+        chains.predecessor[at] = None;
     }
 
-    /// Wind [m/s] of the chain's present state, mean cycle included.
-    pub fn wind(&self, chain: &Chain) -> Vec2 {
-        let mean = &self.catalogue.cycle[2 * chain.phase..2 * chain.phase + 2];
-        Vec2::new(chain.state[0] + mean[0], chain.state[1] + mean[1])
+    /// Wind [m/s] of the present state of one of the chains, mean cycle included.
+    #[inline]
+    pub(crate) fn wind(&self, chains: &Chains, at: usize) -> Vec2 {
+        let mean = &self.catalogue.cycle[2 * chains.phase[at]..][..2];
+        Vec2::new(chains.states[0][at] + mean[0], chains.states[1][at] + mean[1])
     }
 
-    /// Moves chains by one step of the record, each with a random stream of its own.
-    pub(crate) fn advance<'a, R: Rng + 'a>(
+    /// Moves some of the chains by one step of the record, to the successors of the rows that are
+    /// drawn; each has a random stream of its own.
+    pub(crate) fn step<R: Rng>(
         &self,
-        chains: impl Iterator<Item = (&'a mut Chain, &'a mut R)>,
+        chains: &mut Chains,
+        numbers: &[usize],
+        rngs: &mut [R],
         scratch: &mut Scratch,
     ) {
-        let mut chains = chains.peekable();
-        while chains.peek().is_some() {
-            let (mut moved, mut rngs): (SmallVec<[_; ABREAST]>, SmallVec<[_; ABREAST]>) =
-                chains.by_ref().take(ABREAST).unzip();
-            self.step(&mut moved, &mut rngs, scratch);
-        }
-    }
-
-    /// Moves chains, at most [`ABREAST`], to the successors of the rows that are drawn.
-    fn step<R: Rng>(&self, chains: &mut [&mut Chain], rngs: &mut [&mut R], scratch: &mut Scratch) {
         let Catalogue { predictor, target, noise: b, row, .. } = &self.catalogue;
         let d = self.dimension();
-        self.whiten(chains.iter().map(|chain| &chain.state), scratch);
-        let predicted: [_; 2] = std::array::from_fn(|k| {
+        self.whiten(&chains.states, scratch);
+        let mut next: [_; 2] = std::array::from_fn(|k| {
             let of = &predictor[k * (d + 1)..][..d + 1];
-            combined(&of[1..], &scratch.states, of[0])
+            combined(&of[1..], &chains.states, of[0])
         });
-        let drawn = self.draw(rngs, scratch);
+        let drawn = self.draw(numbers, rngs, scratch);
         let noisy = b.iter().any(|b| *b != 0.0);
-        for (at, (chain, rng)) in chains.iter_mut().zip(rngs).enumerate() {
-            let mut next: [_; 2] =
-                std::array::from_fn(|k| predicted[k][at] + target[2 * drawn[at] + k]);
+        for at in numbers {
+            for (k, next) in next.iter_mut().enumerate() {
+                next[*at] += target[2 * drawn[*at] + k];
+            }
             if noisy {
-                let xi: [f64; 2] = std::array::from_fn(|_| StandardNormal.sample(*rng));
+                let xi: [f64; 2] = std::array::from_fn(|_| StandardNormal.sample(&mut rngs[*at]));
                 for (k, next) in next.iter_mut().enumerate() {
-                    *next += b[2 * k] * xi[0] + b[2 * k + 1] * xi[1];
+                    next[*at] += b[2 * k] * xi[0] + b[2 * k + 1] * xi[1];
                 }
             }
-            self.push(chain, next);
-            chain.predecessor = Some(row[drawn[at]]);
+            chains.predecessor[*at] = Some(row[drawn[*at]]);
         }
-    }
-
-    /// The next value of a chain.
-    fn push(&self, chain: &mut Chain, anomaly: [f64; 2]) {
-        let d = self.dimension();
-        chain.state.copy_within(..d - 2, 2);
-        chain.state[..2].copy_from_slice(&anomaly);
-        chain.phase = (chain.phase + 1) % self.phases();
+        chains.push(numbers, &next, self.phases());
     }
 
     /// `count` independent draws of a record row at a fixed state, by proposals or by weighing all
@@ -382,18 +415,23 @@ impl Bootstrap {
         let mut y = [0.0; MAX_DIMENSION];
         y[..d].copy_from_slice(state);
         let mut scratch = Scratch::default();
-        self.whiten([&y], &mut scratch);
+        self.whiten(&beside(&y, d), &mut scratch);
         let mut draw = || {
             if weigh_all {
                 self.weigh_all(&one(&scratch.whitened, 0)[..d], rng)
             } else {
-                self.draw(&mut [&mut *rng], &mut scratch)[0]
+                self.draw(&[0], std::slice::from_mut(rng), &mut scratch)[0]
             }
         };
         let mut rows = room("count", count)?;
         rows.extend((0..count).map(|_| self.catalogue.row[draw()]));
         Ok(rows)
     }
+}
+
+/// A state in every place.
+fn beside(state: &State, d: usize) -> Vec<[f64; ABREAST]> {
+    state[..d].iter().map(|value| [*value; ABREAST]).collect()
 }
 
 /// One of some states.
@@ -439,8 +477,7 @@ impl Proposals {
 /// Room that draws need.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Scratch {
-    /// States that are moved on, and the same whitened.
-    states: Vec<[f64; ABREAST]>,
+    /// States that are moved on, whitened.
     whitened: Vec<[f64; ABREAST]>,
     columns: columns::Scratch,
     tree: tree::Scratch,

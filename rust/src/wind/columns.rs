@@ -348,16 +348,17 @@ impl Columns {
         dispatch(Weigh { columns: self, state })
     }
 
-    /// Draws a row for each of the first states, as many as there are random streams, by the
-    /// weights there; none after too many trials.
+    /// Draws a row for some of the states, each by a random stream of its own, by the weights there;
+    /// none after too many trials.
     pub(super) fn draw<R: Rng>(
         &self,
         states: &States,
-        rngs: &mut [&mut R],
+        numbers: &[usize],
+        rngs: &mut [R],
         scratch: &mut Scratch,
         drawn: &mut [Option<usize>; ABREAST],
     ) {
-        dispatch(Draw { columns: self, states, rngs, scratch, drawn });
+        dispatch(Draw { columns: self, states, numbers, rngs, scratch, drawn });
     }
 }
 
@@ -404,7 +405,7 @@ impl WithSimd for Weigh<'_> {
         let Self { columns, state } = self;
         let states = state.map(|z| [z; ABREAST]);
         let (d, scratch) = (columns.dimension, &mut Scratch::default());
-        columns.look_up(simd, &states, 1, d, scratch);
+        columns.look_up(simd, &states, &[0], d, scratch);
         let Scratch { sums, looks } = scratch;
         let mut all = [vec![], vec![], vec![]];
         for pair in sums[..=columns.registers].windows(2) {
@@ -423,15 +424,16 @@ impl WithSimd for Weigh<'_> {
 }
 
 /// Draws rows at some states.
-struct Draw<'a, 'b, R> {
+struct Draw<'a, R> {
     columns: &'a Columns,
     states: &'a States,
-    rngs: &'a mut [&'b mut R],
+    numbers: &'a [usize],
+    rngs: &'a mut [R],
     scratch: &'a mut Scratch,
     drawn: &'a mut [Option<usize>; ABREAST],
 }
 
-impl<R: Rng> WithSimd for Draw<'_, '_, R> {
+impl<R: Rng> WithSimd for Draw<'_, R> {
     type Output = ();
 
     #[inline(always)]
@@ -442,19 +444,19 @@ impl<R: Rng> WithSimd for Draw<'_, '_, R> {
     }
 }
 
-impl<R: Rng> Draw<'_, '_, R> {
+impl<R: Rng> Draw<'_, R> {
     #[inline(always)]
     fn draw<S: Simd>(self, simd: S, d: usize) {
-        let Self { columns, states, rngs, scratch, drawn } = self;
-        columns.look_up(simd, states, rngs.len(), d, scratch);
+        let Self { columns, states, numbers, rngs, scratch, drawn } = self;
+        columns.look_up(simd, states, numbers, d, scratch);
         let Scratch { sums, looks } = scratch;
         let room = columns.registers + 1;
         let mut waiting = [0; ABREAST];
         let mut count = 0;
-        for number in 0..rngs.len() {
+        for number in numbers {
             // Single precision does not tell bounds apart that are next to nothing.
-            waiting[count] = number;
-            count += usize::from(looks.upto[number][ABREAST - 1] >= LEAST_TOTAL);
+            waiting[count] = *number;
+            count += usize::from(looks.upto[*number][ABREAST - 1] >= LEAST_TOTAL);
         }
         let mut slots = [usize::MAX; ABREAST];
         let mut trials = [Trial::default(); ABREAST];
@@ -569,20 +571,20 @@ impl Trial {
 }
 
 impl Columns {
-    /// Works out the bundles' bounds at the first states, and what the other bounds need.
+    /// Works out the bundles' bounds at some of the states, and what the other bounds need.
     #[inline(always)]
     fn look_up<S: Simd>(
         &self,
         simd: S,
         states: &States,
-        count: usize,
+        numbers: &[usize],
         d: usize,
         scratch: &mut Scratch,
     ) {
         if d == TABLED {
-            self.look::<S, TABLED>(simd, states, count, d, scratch);
+            self.look::<S, TABLED>(simd, states, numbers, d, scratch);
         } else {
-            self.look::<S, LATTICED>(simd, states, count, d, scratch);
+            self.look::<S, LATTICED>(simd, states, numbers, d, scratch);
         }
     }
 
@@ -591,7 +593,7 @@ impl Columns {
         &self,
         simd: S,
         states: &States,
-        count: usize,
+        numbers: &[usize],
         d: usize,
         Scratch { sums, looks }: &mut Scratch,
     ) {
@@ -628,7 +630,7 @@ impl Columns {
         }
         let room = self.registers + 1;
         sums.resize(room * ABREAST, Abreast::default());
-        for number in 0..count {
+        for number in numbers.iter().copied() {
             let mut totals = Abreast::default();
             let sums = &mut sums[number * room..][..room];
             sums[0] = totals;
@@ -745,10 +747,10 @@ mod tests {
             let mut shares = 0.0;
             for k in 0..=3 {
                 let of = [node / 45, node / 9 % 5, node % 9].map(|of| of as f32);
-                for c in 0..3 {
-                    assert!(share <= 0.0 || (of[c] - places[c][at]).abs() < 1.0 + 1e-6);
-                    interpolated[c] += share * of[c];
-                    squares[c] += share * of[c] * of[c];
+                for (c, of) in of.into_iter().enumerate() {
+                    assert!(share <= 0.0 || (of - places[c][at]).abs() < 1.0 + 1e-6);
+                    interpolated[c] += share * of;
+                    squares[c] += share * of * of;
                 }
                 assert!(share >= 0.0 && node < 7 * 45);
                 shares += share;
@@ -757,8 +759,7 @@ mod tests {
                 }
             }
             assert!((shares - 1.0).abs() < 1e-6);
-            for c in 0..3 {
-                let place = places[c][at];
+            for (c, place) in places.iter().map(|of| of[at]).enumerate() {
                 assert!((interpolated[c] - place).abs() < 1e-5, "{at} {c}");
                 assert!((squares[c] - place * place - around.above[c][at]).abs() < 1e-4);
             }
@@ -840,12 +841,13 @@ mod tests {
             let states: Vec<[f64; ABREAST]> = places.iter().map(of).collect();
             let seeded = |at: &usize| ChaCha8Rng::seed_from_u64(*at as u64);
             let mut rngs: Vec<ChaCha8Rng> = chosen.iter().map(seeded).collect();
-            let rngs_of: &mut [&mut ChaCha8Rng] = &mut rngs.iter_mut().collect::<Vec<_>>();
+            let numbers: Vec<usize> = (0..chosen.len()).collect();
             let (scratch, drawn) = (&mut Scratch::default(), &mut [None; ABREAST]);
             if wide {
-                columns.draw(&states, rngs_of, scratch, drawn);
+                columns.draw(&states, &numbers, &mut rngs, scratch, drawn);
             } else {
-                let draw = Draw { columns, states: &states, rngs: rngs_of, scratch, drawn };
+                let (states, numbers, rngs) = (&states, &numbers, &mut rngs);
+                let draw = Draw { columns, states, numbers, rngs, scratch, drawn };
                 draw.with_simd(pulp::Scalar::new());
             }
             let next: Vec<u64> = rngs.iter_mut().map(|rng| rng.random()).collect();

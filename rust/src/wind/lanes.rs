@@ -4,9 +4,8 @@
 use pulp::{Simd, WithSimd};
 use smallvec::SmallVec;
 
-use super::bootstrap::Scratch;
 use super::path::{WindPath, require_cover};
-use super::{Mark, MemberWind, Sampling, WindGenerator};
+use super::{Mark, MemberWinds, Sampling};
 use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
 use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
@@ -101,15 +100,13 @@ impl WindPaths {
 enum Source<'a> {
     InMemory(&'a [LaneVec2]),
     Drawn {
-        generator: &'a WindGenerator,
+        winds: Box<MemberWinds<'a>>,
         sampling: Sampling,
-        members: Vec<MemberWind>,
         velocity: Vec<LaneVec2>,
         /// Excess of each interval's mean over the chord's; empty for fine sampling.
         excess: Vec<LaneVec2>,
-        /// One member's knots of one synoptic step.
+        /// One member's knots within one synoptic step.
         knots: Vec<Vec2>,
-        scratch: Box<Scratch>,
     },
 }
 
@@ -194,53 +191,39 @@ impl<'a> LaneWind<'a> {
     }
 
     /// Winds to be drawn; those not at their beginning are to join later.
-    pub(crate) fn drawn(
-        generator: &'a WindGenerator,
-        members: impl IntoIterator<Item = Result<MemberWind, DriftError>>,
-        sampling: Sampling,
-    ) -> Result<Self, DriftError> {
-        let (mut knots, mut scratch) = (Vec::new(), Box::<Scratch>::default());
-        let mut members: Vec<MemberWind> = members.into_iter().collect::<Result<_, _>>()?;
-        for drawn in 0..generator.lead_in() {
-            let behind = |wind: &&mut MemberWind| wind.drawn() == drawn;
-            let mut due: Vec<&mut MemberWind> = members.iter_mut().filter(behind).collect();
-            generator.draw(due.iter_mut().map(|wind| &mut **wind), &mut scratch);
-            for wind in due {
-                knots.clear();
-                generator.fill(wind, sampling, &mut knots);
+    pub(crate) fn drawn(mut winds: MemberWinds<'a>, sampling: Sampling) -> Self {
+        let mut knots = Vec::new();
+        for drawn in 0..winds.generator().lead_in() {
+            let due = winds.drawn(drawn);
+            winds.draw(&due);
+            if sampling == Sampling::Fine {
+                for at in due {
+                    knots.clear();
+                    winds.fill(at, &mut knots);
+                }
             }
         }
-        let mut velocity = vec![[Lanes::ZERO; 2]];
-        for (place, wind) in members.iter().enumerate() {
-            set_lane(&mut velocity[0], place, wind.velocity());
-        }
-        let spacing = generator.knots(sampling).0;
+        let velocity = vec![winds.velocity()];
+        let spacing = winds.generator().knots(sampling).0;
         let sums = sums_of([[Lanes::ZERO; 2]; 2], &velocity[0]);
-        let source = Source::Drawn {
-            generator,
-            sampling,
-            members,
-            velocity,
-            excess: Vec::new(),
-            knots,
-            scratch,
-        };
-        Ok(Self { source, spacing, start: 0.0, dropped: 0, base: 0, sums })
+        let winds = Box::new(winds);
+        let source = Source::Drawn { winds, sampling, velocity, excess: Vec::new(), knots };
+        Self { source, spacing, start: 0.0, dropped: 0, base: 0, sums }
     }
 
     /// What one member's wind has come to; none of winds that are not drawn.
     pub(crate) fn mark(&self, place: usize) -> Option<LaneMark> {
-        let Source::Drawn { generator, members, velocity, excess, .. } = &self.source else {
+        let Source::Drawn { winds, velocity, excess, .. } = &self.source else {
             return None;
         };
-        let member = members.get(place)?;
+        let member = winds.mark(place)?;
         Some(LaneMark {
             knot: self.dropped + self.base,
             sums: self.sums.map(|sum| lane(&sum, place)),
             velocity: velocity.iter().skip(self.base).map(|w| lane(w, place)).collect(),
             excess: excess.iter().skip(self.base).map(|w| lane(w, place)).collect(),
-            known: member.drawn().saturating_sub(generator.lead_in()),
-            member: member.mark(),
+            known: member.drawn.saturating_sub(winds.generator().lead_in()),
+            member,
         })
     }
 
@@ -284,43 +267,40 @@ impl<'a> LaneWind<'a> {
     /// Sees to it that the wind is known up to time `t`, for the members `wanted`.
     pub fn draw_until(&mut self, t: f64, wanted: &[bool; WIDTH]) {
         let needed = ((t - self.start) / self.spacing - 1e-9).ceil() as usize;
-        let needed = needed.saturating_sub(self.dropped).max(1);
-        let Source::Drawn { generator, sampling, members, velocity, excess, knots, scratch } =
-            &mut self.source
-        else {
+        let mut needed = needed.saturating_sub(self.dropped).max(1);
+        let Source::Drawn { winds, sampling, velocity, excess, knots } = &mut self.source else {
             return;
         };
-        let per_step = generator.knots(*sampling).1;
+        let per_step = winds.generator().knots(*sampling).1;
+        let wanted: SmallVec<[usize; WIDTH]> = (0..WIDTH).filter(|at| wanted[*at]).collect();
         while velocity.len() <= needed {
             if self.base > KEPT_KNOTS {
                 velocity.drain(..self.base);
                 excess.drain(..self.base.min(excess.len()));
+                needed -= self.base;
                 self.dropped += self.base;
                 self.base = 0;
-                return self.draw_until(t, wanted);
+                continue;
             }
-            let first = velocity.len() - 1;
-            let last = velocity[first];
-            velocity.resize(first + per_step + 1, last);
+            let now = winds.velocity();
+            let integral = winds.draw(&wanted);
+            let next = winds.velocity();
             if *sampling == Sampling::Coarse {
-                excess.resize(first + 1, [Lanes::ZERO; 2]);
-            }
-            let drawn = members.iter_mut().zip(wanted);
-            let drawn = drawn.filter_map(|(member, wanted)| wanted.then_some(member));
-            generator.draw(drawn, scratch);
-            for (place, member) in members.iter_mut().enumerate().filter(|(k, _)| wanted[*k]) {
-                knots.clear();
-                let now = member.velocity();
-                let integral = generator.fill(member, *sampling, knots);
-                let next = member.velocity();
-                knots.push(next);
-                for (knot, value) in velocity[first + 1..].iter_mut().zip(&knots[1..]) {
-                    set_lane(knot, place, *value);
-                }
-                if let Some(excess) = excess.get_mut(first) {
-                    set_lane(excess, place, integral / self.spacing - (now + next) / 2.0);
+                excess.push(
+                    [0, 1].map(|k| integral[k] * (1.0 / self.spacing) - (now[k] + next[k]) * 0.5),
+                );
+            } else {
+                let first = velocity.len();
+                velocity.resize(first + per_step - 1, now);
+                for at in &wanted {
+                    knots.clear();
+                    winds.fill(*at, knots);
+                    for (knot, value) in velocity[first..].iter_mut().zip(&*knots) {
+                        set_lane(knot, *at, *value);
+                    }
                 }
             }
+            velocity.push(next);
         }
     }
 
@@ -517,9 +497,9 @@ impl Walk<'_> {
 mod tests {
     use std::sync::Arc;
 
-    use super::super::Lineage;
     use super::super::bootstrap::{Bootstrap, Catalogue};
     use super::super::small_scale::SmallScale;
+    use super::super::{Lineage, WindGenerator};
     use super::*;
 
     const MEMBERS: usize = 20;
@@ -610,8 +590,11 @@ mod tests {
         for sampling in [Sampling::Coarse, Sampling::Fine] {
             for place in [0, 3, 7] {
                 let path = generator.path(8, 40 + place as u64, 2.0, sampling)?;
-                let members = (40..48).map(|member| generator.member(8, member));
-                assert_is(LaneWind::drawn(&generator, members, sampling)?, place, &path);
+                let mut winds = generator.winds(8);
+                for member in 40..48 {
+                    winds.begin(member)?;
+                }
+                assert_is(LaneWind::drawn(winds, sampling), place, &path);
             }
         }
         Ok(())
@@ -635,9 +618,11 @@ mod tests {
             assert_eq!(shared(&plain, &parents), Some(0.5));
             assert_eq!(shared(&parents, &childs), Some(1.25));
             assert_eq!(shared(&childs, &other), None);
-            let members = [&parent, &child].map(|lineage| generator.member(8, lineage.clone()));
-            let wind = LaneWind::drawn(&generator, members, sampling)?;
-            assert_is(wind, 1, &childs);
+            let mut winds = generator.winds(8);
+            for lineage in [&parent, &child] {
+                winds.begin(lineage.clone())?;
+            }
+            assert_is(LaneWind::drawn(winds, sampling), 1, &childs);
         }
         Ok(())
     }

@@ -22,11 +22,12 @@ use std::vec::IntoIter;
 use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use smallvec::SmallVec;
 
 use crate::error::{DriftError, positive, product, room};
 use crate::field::Vec2;
-use crate::lanes::WIDTH;
-use bootstrap::{Bootstrap, Chain, Scratch};
+use crate::lanes::{LaneVec2, Lanes, WIDTH, lane, set_lane};
+use bootstrap::{Bootstrap, Chain, Chains, Scratch};
 use hand_over::HandOver;
 use path::WindPath;
 use small_scale::SmallScale;
@@ -190,37 +191,51 @@ impl From<Option<usize>> for Beginning {
     }
 }
 
-/// The synoptic wind of one member, with its random stream.
+/// The synoptic winds of some members side by side, each with its random stream.
 #[derive(Debug, Clone)]
 struct Synoptic {
-    chain: Chain,
-    rng: ChaCha8Rng,
-    member: u64,
+    chains: Chains,
+    rngs: Vec<ChaCha8Rng>,
+    members: Vec<u64>,
     /// Steps that were handed over, and the error of the last, before it is scaled.
-    handed: usize,
-    error: Vec2,
+    handed: Vec<usize>,
+    errors: Vec<Vec2>,
+    scratch: Scratch,
 }
 
 impl Synoptic {
-    fn start(
+    /// Nobody's.
+    fn new(bootstrap: &Bootstrap) -> Self {
+        Self {
+            chains: bootstrap.chains(),
+            rngs: Vec::with_capacity(WIDTH),
+            members: Vec::with_capacity(WIDTH),
+            handed: Vec::with_capacity(WIDTH),
+            errors: Vec::with_capacity(WIDTH),
+            scratch: Scratch::default(),
+        }
+    }
+
+    /// Puts a member beside the others, at its beginning.
+    fn begin(
+        &mut self,
         bootstrap: &Bootstrap,
         beginning: &Beginning,
         seed: u64,
         member: u64,
-    ) -> Result<Self, DriftError> {
+    ) -> Result<(), DriftError> {
         numbered(member)?;
         let mut rng = stream(seed, member, Stream::Synoptic);
-        let Some(hand_over) = &beginning.hand_over else {
-            let chain = bootstrap.start(beginning.phase, &mut rng)?;
-            return Ok(Self { chain, rng, member, handed: 0, error: Vec2::zeros() });
-        };
-        let order = bootstrap.catalogue().order;
-        if hand_over.steps() < order {
-            let accepted = format!("the bootstrap goes on from {order}");
-            return Err(DriftError::invalid("forecast steps", hand_over.steps(), accepted));
-        }
-        let phase =
-            beginning.phase.filter(|phase| *phase < bootstrap.phases()).ok_or_else(|| {
+        let at = self.members.len();
+        let (mut handed, mut error) = (0, Vec2::zeros());
+        if let Some(hand_over) = &beginning.hand_over {
+            let order = bootstrap.catalogue().order;
+            if hand_over.steps() < order {
+                let accepted = format!("the bootstrap goes on from {order}");
+                return Err(DriftError::invalid("forecast steps", hand_over.steps(), accepted));
+            }
+            let known = beginning.phase.filter(|phase| *phase < bootstrap.phases());
+            let phase = known.ok_or_else(|| {
                 let given = beginning.phase.map_or(String::from("none"), |phase| phase.to_string());
                 DriftError::invalid(
                     "start phase",
@@ -228,37 +243,38 @@ impl Synoptic {
                     "a forecast begins at one of the record's",
                 )
             })?;
-        let error = hand_over.start(&mut rng);
-        let mut chain = bootstrap.empty(phase);
-        bootstrap.hand(&mut chain, hand_over.anomaly(member, 0, error));
-        Ok(Self { chain, rng, member, handed: 1, error })
+            (handed, error) = (1, hand_over.start(&mut rng));
+            self.chains.set(at, &bootstrap.empty(phase));
+            bootstrap.hand(&mut self.chains, at, hand_over.anomaly(member, 0, error));
+        } else {
+            self.chains.set(at, &bootstrap.start(beginning.phase, &mut rng)?);
+        }
+        self.rngs.push(rng);
+        self.members.push(member);
+        self.handed.push(handed);
+        self.errors.push(error);
+        Ok(())
     }
 
-    /// Takes the next step if that is handed over; whether it was.
-    fn hand(&mut self, bootstrap: &Bootstrap, beginning: &Beginning) -> bool {
-        let of = beginning.hand_over.as_ref();
-        let Some(hand_over) = of.filter(|hand_over| self.handed < hand_over.steps()) else {
+    /// Takes one member's next step if that is handed over; whether it was.
+    fn hand(&mut self, bootstrap: &Bootstrap, hand_over: &HandOver, at: usize) -> bool {
+        if self.handed[at] >= hand_over.steps() {
             return false;
-        };
-        self.error = hand_over.advance(self.error, &mut self.rng);
-        let anomaly = hand_over.anomaly(self.member, self.handed, self.error);
-        bootstrap.hand(&mut self.chain, anomaly);
-        self.handed += 1;
+        }
+        self.errors[at] = hand_over.advance(self.errors[at], &mut self.rngs[at]);
+        let anomaly = hand_over.anomaly(self.members[at], self.handed[at], self.errors[at]);
+        bootstrap.hand(&mut self.chains, at, anomaly);
+        self.handed[at] += 1;
         true
     }
 
-    /// Moves several winds by one step of the record.
-    fn advance<'a>(
-        winds: impl Iterator<Item = &'a mut Self>,
-        bootstrap: &Bootstrap,
-        beginning: &Beginning,
-        scratch: &mut Scratch,
-    ) {
-        let drawn = winds.filter_map(|wind| {
-            let handed = wind.hand(bootstrap, beginning);
-            (!handed).then_some((&mut wind.chain, &mut wind.rng))
-        });
-        bootstrap.advance(drawn, scratch);
+    /// Moves some of the winds by one step of the record.
+    fn advance(&mut self, bootstrap: &Bootstrap, beginning: &Beginning, numbers: &[usize]) {
+        let mut drawn: SmallVec<[usize; WIDTH]> = numbers.into();
+        if let Some(hand_over) = &beginning.hand_over {
+            drawn.retain(|at| !self.hand(bootstrap, hand_over, *at));
+        }
+        bootstrap.step(&mut self.chains, &drawn, &mut self.rngs, &mut self.scratch);
     }
 }
 
@@ -301,57 +317,18 @@ impl WindGenerator {
         self
     }
 
-    /// The wind of one member, ready to be drawn from `−lead_in` steps on.
-    pub(crate) fn member(
-        &self,
-        seed: u64,
-        lineage: impl Into<Lineage>,
-    ) -> Result<MemberWind, DriftError> {
-        let Lineage { member, branches } = lineage.into();
-        let synoptic = Synoptic::start(&self.bootstrap, &self.beginning, seed, member)?;
-        let mut coarse = stream(seed, member, Stream::SmallScale);
-        Ok(MemberWind {
-            slow: self.bootstrap.wind(&synoptic.chain) / self.unit,
-            fast: self.small_scale.start(&mut coarse),
-            fine: stream(seed, member, Stream::FinePath),
-            synoptic,
-            coarse,
+    /// The winds of nobody yet.
+    pub(crate) fn winds(&self, seed: u64) -> MemberWinds<'_> {
+        let zero = [Lanes::ZERO; 2];
+        MemberWinds {
+            generator: self,
             seed,
-            branches: branches.into_iter().peekable(),
-            drawn: 0,
-        })
-    }
-
-    /// The wind of a lineage, ready to be drawn on from where a member with the same past was.
-    pub(crate) fn resumed(&self, seed: u64, lineage: &Lineage, mark: &Mark) -> MemberWind {
-        let Mark { chain, handed, error, slow, fast, drawn, streams_of, read } = mark;
-        let [synoptic, coarse, fine] = [
-            (Stream::Synoptic, read[0]),
-            (Stream::SmallScale, read[1]),
-            (Stream::FinePath, read[2]),
-        ]
-        .map(|(name, read)| {
-            let mut rng = stream(seed, *streams_of, name);
-            rng.set_word_pos(read);
-            rng
-        });
-        let ahead = |(step, _): &&(usize, u64)| self.lead_in + step >= *drawn;
-        let branches: Vec<_> = lineage.branches.iter().filter(ahead).copied().collect();
-        MemberWind {
-            synoptic: Synoptic {
-                chain: chain.clone(),
-                rng: synoptic,
-                member: lineage.member,
-                handed: *handed,
-                error: *error,
-            },
-            slow: *slow,
-            fast: *fast,
-            coarse,
-            fine,
-            seed,
-            branches: branches.into_iter().peekable(),
-            drawn: *drawn,
+            synoptic: Synoptic::new(&self.bootstrap),
+            streams: Vec::with_capacity(WIDTH),
+            slow: zero,
+            fast: zero,
+            before: [zero; 2],
+            fast_integral: zero,
         }
     }
 
@@ -372,51 +349,6 @@ impl WindGenerator {
             Sampling::Fine => self.small_scale.substeps(),
         };
         (self.step / substeps as f64, substeps)
-    }
-
-    /// Draws the synoptic part of one step of several winds, each of which is to be filled then.
-    pub(crate) fn draw<'a>(
-        &self,
-        winds: impl Iterator<Item = &'a mut MemberWind>,
-        scratch: &mut Scratch,
-    ) {
-        let synoptic = winds.map(|wind| {
-            let branches = &mut wind.branches;
-            while let Some((_, member)) =
-                branches.next_if(|(step, _)| self.lead_in + *step <= wind.drawn)
-            {
-                wind.synoptic.rng = stream(wind.seed, member, Stream::Synoptic);
-                wind.coarse = stream(wind.seed, member, Stream::SmallScale);
-                wind.fine = stream(wind.seed, member, Stream::FinePath);
-            }
-            wind.drawn += 1;
-            &mut wind.synoptic
-        });
-        Synoptic::advance(synoptic, &self.bootstrap, &self.beginning, scratch);
-    }
-
-    /// Draws the small scale of the step that was drawn: the wind at its knots but the last goes to
-    /// `knots`, and for coarse sampling the integral over the step is returned.
-    pub(crate) fn fill(
-        &self,
-        wind: &mut MemberWind,
-        sampling: Sampling,
-        knots: &mut Vec<Vec2>,
-    ) -> Vec2 {
-        let (slow, fast) = (wind.slow, wind.fast);
-        wind.slow = self.bootstrap.wind(&wind.synoptic.chain) / self.unit;
-        let (fast_next, fast_integral) = self.small_scale.advance(fast, &mut wind.coarse);
-        wind.fast = fast_next;
-        knots.push(slow + fast);
-        if sampling == Sampling::Fine {
-            let first = knots.len();
-            self.small_scale.fill(fast, (fast_next, fast_integral), &mut wind.fine, knots);
-            let share = 1.0 / self.small_scale.substeps() as f64;
-            for (k, w) in knots[first..].iter_mut().enumerate() {
-                *w += slow.lerp(&wind.slow, (k + 1) as f64 * share);
-            }
-        }
-        (slow + wind.slow) * (self.step / 2.0) + fast_integral
     }
 
     /// Synoptic steps from `−lead_in` on that reach `end`; fails where their knots are too many.
@@ -441,16 +373,18 @@ impl WindGenerator {
         let (spacing, substeps) = self.knots(sampling);
         let steps = self.steps(end, sampling)?;
         let start = -(self.lead_in as f64) * self.step;
-        let mut wind = self.member(seed, lineage)?;
+        let mut winds = self.winds(seed);
+        winds.begin(lineage)?;
         let mut velocity = room("wind path", steps * substeps + 1)?;
-        let mut scratch = Scratch::default();
-        let integrals: Vec<Vec2> = (0..steps)
-            .map(|_| {
-                self.draw(std::iter::once(&mut wind), &mut scratch);
-                self.fill(&mut wind, sampling, &mut velocity)
-            })
-            .collect();
-        velocity.push(wind.velocity());
+        let mut integrals = Vec::with_capacity(steps);
+        for _ in 0..steps {
+            velocity.push(lane(&winds.velocity(), 0));
+            integrals.push(lane(&winds.draw(&[0]), 0));
+            if sampling == Sampling::Fine {
+                winds.fill(0, &mut velocity);
+            }
+        }
+        velocity.push(lane(&winds.velocity(), 0));
         match sampling {
             Sampling::Coarse => WindPath::from_coarse(start, spacing, velocity, &integrals),
             Sampling::Fine => {
@@ -461,21 +395,33 @@ impl WindGenerator {
     }
 }
 
-/// What one member's wind has come to, with its random streams.
+/// The winds of some members, at most [`WIDTH`], side by side on their way.
 #[derive(Debug, Clone)]
-pub(crate) struct MemberWind {
+pub(crate) struct MemberWinds<'a> {
+    generator: &'a WindGenerator,
+    seed: u64,
     synoptic: Synoptic,
-    slow: Vec2,
-    fast: Vec2,
+    streams: Vec<Streams>,
+    /// Both parts of each wind now, and before the last step.
+    slow: LaneVec2,
+    fast: LaneVec2,
+    before: [LaneVec2; 2],
+    /// The small scale's integrals over that step.
+    fast_integral: LaneVec2,
+}
+
+/// The small scale's random streams of one member.
+#[derive(Debug, Clone)]
+struct Streams {
     coarse: ChaCha8Rng,
     fine: ChaCha8Rng,
-    seed: u64,
     /// Those still ahead, and the steps drawn up to now.
     branches: Peekable<IntoIter<(usize, u64)>>,
     drawn: usize,
 }
 
-/// The same, small enough to be kept for many: streams are named, with the words read of each.
+/// What one member's wind has come to, small enough to be kept for many: streams are named, with the
+/// words read of each.
 #[derive(Debug, Clone)]
 pub(crate) struct Mark {
     chain: Chain,
@@ -489,30 +435,122 @@ pub(crate) struct Mark {
     read: [u128; 3],
 }
 
-impl MemberWind {
-    /// What it has come to.
-    pub(crate) fn mark(&self) -> Mark {
-        let Self { synoptic, slow, fast, coarse, fine, drawn, .. } = self;
-        Mark {
-            chain: synoptic.chain.clone(),
-            handed: synoptic.handed,
-            error: synoptic.error,
-            slow: *slow,
-            fast: *fast,
+impl MemberWinds<'_> {
+    /// Puts the wind of a lineage beside the others, to be drawn from `−lead_in` steps on.
+    pub(crate) fn begin(&mut self, lineage: impl Into<Lineage>) -> Result<(), DriftError> {
+        let Self { generator, seed, .. } = *self;
+        let Lineage { member, branches } = lineage.into();
+        self.synoptic.begin(&generator.bootstrap, &generator.beginning, seed, member)?;
+        let mut coarse = stream(seed, member, Stream::SmallScale);
+        let at = self.streams.len();
+        let slow = generator.bootstrap.wind(&self.synoptic.chains, at) / generator.unit;
+        set_lane(&mut self.slow, at, slow);
+        set_lane(&mut self.fast, at, generator.small_scale.start(&mut coarse));
+        let fine = stream(seed, member, Stream::FinePath);
+        let branches = branches.into_iter().peekable();
+        self.streams.push(Streams { coarse, fine, branches, drawn: 0 });
+        Ok(())
+    }
+
+    /// Puts the wind of a lineage beside the others, to be drawn on from where a member with the same
+    /// past was.
+    pub(crate) fn resume(&mut self, lineage: &Lineage, mark: &Mark) {
+        let Mark { chain, handed, error, slow, fast, drawn, streams_of, read } = mark;
+        let [synoptic, coarse, fine] = [
+            (Stream::Synoptic, read[0]),
+            (Stream::SmallScale, read[1]),
+            (Stream::FinePath, read[2]),
+        ]
+        .map(|(name, read)| {
+            let mut rng = stream(self.seed, *streams_of, name);
+            rng.set_word_pos(read);
+            rng
+        });
+        let at = self.streams.len();
+        self.synoptic.chains.set(at, chain);
+        self.synoptic.rngs.push(synoptic);
+        self.synoptic.members.push(lineage.member);
+        self.synoptic.handed.push(*handed);
+        self.synoptic.errors.push(*error);
+        set_lane(&mut self.slow, at, *slow);
+        set_lane(&mut self.fast, at, *fast);
+        let ahead = |(step, _): &&(usize, u64)| self.generator.lead_in + step >= *drawn;
+        let branches: Vec<_> = lineage.branches.iter().filter(ahead).copied().collect();
+        let branches = branches.into_iter().peekable();
+        self.streams.push(Streams { coarse, fine, branches, drawn: *drawn });
+    }
+
+    /// What one of them has come to; none if there are not so many.
+    pub(crate) fn mark(&self, at: usize) -> Option<Mark> {
+        let Streams { coarse, fine, drawn, .. } = self.streams.get(at)?;
+        let synoptic = &self.synoptic.rngs[at];
+        Some(Mark {
+            chain: self.synoptic.chains.get(at),
+            handed: self.synoptic.handed[at],
+            error: self.synoptic.errors[at],
+            slow: lane(&self.slow, at),
+            fast: lane(&self.fast, at),
             drawn: *drawn,
-            streams_of: synoptic.rng.get_stream() / STREAMS,
-            read: [&synoptic.rng, coarse, fine].map(ChaCha8Rng::get_word_pos),
+            streams_of: synoptic.get_stream() / STREAMS,
+            read: [synoptic, coarse, fine].map(ChaCha8Rng::get_word_pos),
+        })
+    }
+
+    /// Who draws them.
+    pub(crate) fn generator(&self) -> &WindGenerator {
+        self.generator
+    }
+
+    /// Those for whom so many steps are drawn, the ones before time 0 included.
+    pub(crate) fn drawn(&self, steps: usize) -> SmallVec<[usize; WIDTH]> {
+        (0..self.streams.len()).filter(|at| self.streams[*at].drawn == steps).collect()
+    }
+
+    /// The winds at the last knot drawn.
+    pub(crate) fn velocity(&self) -> LaneVec2 {
+        [0, 1].map(|k| self.slow[k] + self.fast[k])
+    }
+
+    /// Draws one step of some of the winds, and returns their integrals over it.
+    pub(crate) fn draw(&mut self, numbers: &[usize]) -> LaneVec2 {
+        let WindGenerator { bootstrap, small_scale, step, unit, lead_in, beginning } =
+            self.generator;
+        for at in numbers {
+            let Streams { coarse, fine, branches, drawn } = &mut self.streams[*at];
+            while let Some((_, member)) = branches.next_if(|(step, _)| lead_in + *step <= *drawn) {
+                self.synoptic.rngs[*at] = stream(self.seed, member, Stream::Synoptic);
+                *coarse = stream(self.seed, member, Stream::SmallScale);
+                *fine = stream(self.seed, member, Stream::FinePath);
+            }
+            *drawn += 1;
         }
+        self.synoptic.advance(bootstrap, beginning, numbers);
+        self.before = [self.slow, self.fast];
+        for at in numbers {
+            let slow = bootstrap.wind(&self.synoptic.chains, *at) / *unit;
+            set_lane(&mut self.slow, *at, slow);
+            let coarse = &mut self.streams[*at].coarse;
+            let (fast, integral) = small_scale.advance(lane(&self.fast, *at), coarse);
+            set_lane(&mut self.fast, *at, fast);
+            set_lane(&mut self.fast_integral, *at, integral);
+        }
+        let [slow, _] = &self.before;
+        [0, 1].map(|k| (slow[k] + self.slow[k]) * (step / 2.0) + self.fast_integral[k])
     }
 
-    /// Synoptic steps drawn, those before time 0 included.
-    pub(crate) fn drawn(&self) -> usize {
-        self.drawn
-    }
-
-    /// The wind at the last knot drawn.
-    pub(crate) fn velocity(&self) -> Vec2 {
-        self.slow + self.fast
+    /// Draws the knots of one of the winds within the step that was drawn last, its ends left out,
+    /// and appends them to `knots`.
+    pub(crate) fn fill(&mut self, at: usize, knots: &mut Vec<Vec2>) {
+        let [slow, fast] = self.before.map(|of| lane(&of, at));
+        let slow_next = lane(&self.slow, at);
+        let to = (lane(&self.fast, at), lane(&self.fast_integral, at));
+        let small_scale = &self.generator.small_scale;
+        let first = knots.len();
+        small_scale.fill(fast, to, &mut self.streams[at].fine, knots);
+        let share = 1.0 / small_scale.substeps() as f64;
+        for (k, w) in knots[first..].iter_mut().enumerate() {
+            *w += slow.lerp(&slow_next, (k + 1) as f64 * share);
+        }
     }
 }
 
@@ -530,21 +568,22 @@ pub fn sample(
         SynopticSample { wind: room("members", count)?, predecessor: room("members", count)? };
     sample.wind.resize(count, Vec2::zeros());
     sample.predecessor.resize(count, None);
-    let mut scratch = Scratch::default();
     let mut first = 0;
     while first < members.end - members.start {
         let group = first..(first + WIDTH as u64).min(members.end - members.start);
-        let mut winds = (group.clone())
-            .map(|number| Synoptic::start(bootstrap, beginning, seed, members.start + number))
-            .collect::<Result<Vec<_>, _>>()?;
+        let mut winds = Synoptic::new(bootstrap);
+        for number in group.clone() {
+            winds.begin(bootstrap, beginning, seed, members.start + number)?;
+        }
+        let numbers: Vec<usize> = (0..winds.members.len()).collect();
         for step in 0..steps {
             if step > 0 {
-                Synoptic::advance(winds.iter_mut(), bootstrap, beginning, &mut scratch);
+                winds.advance(bootstrap, beginning, &numbers);
             }
-            for (number, Synoptic { chain, .. }) in group.clone().zip(&winds) {
+            for (number, place) in group.clone().zip(&numbers) {
                 let at = number as usize * steps + step;
-                sample.wind[at] = bootstrap.wind(chain);
-                sample.predecessor[at] = chain.predecessor();
+                sample.wind[at] = bootstrap.wind(&winds.chains, *place);
+                sample.predecessor[at] = winds.chains.predecessor(*place);
             }
         }
         first = group.end;
