@@ -34,6 +34,9 @@ enum Shape {
 /// equations.md (7).
 const RESOLUTION: f64 = 1.0 / 128.0;
 
+/// What share of the longest stride that may be safe is tried.
+const HOPE: f64 = 0.9;
+
 impl Coast {
     /// A circular coast.
     pub fn circle(center: Vec2, radius: f64, side: Side) -> Result<Self, DriftError> {
@@ -95,8 +98,11 @@ impl Coast {
     /// First time and place at which the reconstructed trajectory meets the coast in this piece.
     ///
     /// A piece whose reach does not touch the coast is passed over. Otherwise the trajectory is
-    /// followed in strides that cannot jump over the coast (clearance over speed), never shorter
-    /// than the resolution, and a change of sign is refined to rounding.
+    /// followed in strides that cannot jump over the coast: at no time is it nearer than the
+    /// clearance at one end less the distance that the speed allows from there, so that a stride
+    /// is safe while speed times length is below the sum of the clearances at its ends. One is
+    /// tried that would be, if the clearance went on as it did; then one that is whatever it does.
+    /// None is shorter than the resolution, and a change of sign is refined to rounding.
     pub fn first_crossing(
         &self,
         piece: &dyn Piece,
@@ -117,10 +123,17 @@ impl Coast {
         if clearance.is_nan() {
             return Err(lost(t));
         }
+        // How fast the coast came nearer.
+        let mut approach = reach.speed;
         while t < end {
-            let stride = (clearance / reach.speed).max(RESOLUTION * period);
-            let next = end.min(t + stride);
-            let ahead = self.clearance(piece.position(next)?);
+            let safe = (clearance / reach.speed).max(RESOLUTION * period);
+            let hopeful = HOPE * 2.0 * clearance / (reach.speed + approach);
+            let mut next = end.min(t + hopeful.max(safe));
+            let mut ahead = self.clearance(piece.position(next)?);
+            if next > t + safe && reach.speed * (next - t) >= clearance + ahead {
+                next = t + safe;
+                ahead = self.clearance(piece.position(next)?);
+            }
             if ahead.is_nan() {
                 return Err(lost(next));
             }
@@ -131,6 +144,8 @@ impl Coast {
                 }
                 return Ok(Some((crossing, piece.position(crossing)?)));
             }
+            // The bound is at least as large: never dividing by next to nothing.
+            approach = ((clearance - ahead) / (next - t)).max(-0.5 * reach.speed);
             (t, clearance) = (next, ahead);
         }
         Ok(None)

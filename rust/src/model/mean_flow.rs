@@ -228,10 +228,12 @@ impl Piece for MeanFlowPiece<'_> {
     }
 
     fn position(&self, t: f64) -> Result<Vec2, DriftError> {
-        let (y, single) = self.slow(t);
+        let Problem { sea, drag, .. } = self.flow.problem;
         if self.flow.order == 1 {
-            return Ok(y + self.flow.problem.sea.excursion(t, y)?);
+            let y = self.step.state(t) + self.flow.wind.double(t) * drag;
+            return Ok(y + sea.excursion(t, y)?);
         }
+        let (y, single) = self.slow(t);
         let (expansion, _) = self.flow.expansion(t, y, single)?;
         Ok(y + expansion.displacement(t))
     }

@@ -69,6 +69,12 @@ impl<'a> WindIntegrals<'a> {
         (single - single0, double - double0 - single0 * t)
     }
 
+    /// The second of them alone.
+    fn double(&self, t: f64) -> Vec2 {
+        let (single0, double0) = self.at_release;
+        self.path.double_integral(t) - double0 - single0 * t
+    }
+
     /// Bounds, over `h` from `t`, of the change of `∫S` and of `|S|`.
     fn reach(&self, t: f64, h: f64) -> (f64, f64) {
         let speed = self.at(t).0.norm() + self.max_speed * h;
