@@ -251,24 +251,31 @@ def in_memory(effort: Effort) -> list[list[str]]:
         paths = [dc.member_path(scenario, wind, member) for member in range(few)]
         velocity = np.array([path.velocity for path in paths])
         members = max(few, effort.paper * 50 // tides)
-        many = dc.WindPaths(paths[0].times, np.tile(velocity, (-(-members // few), 1, 1))[:members])
         how: dict[str, Any] = {"model": "full", "threads": 1, "steps_per_tide": 8}
         call = partial(dc.forecast, scenario, keep=0, **how)
-        first = dc.WindPaths(paths[0].times, velocity[:WIDTH])
-        cost = [cpu(partial(call, winds), effort.repeats) for winds in (many, first)]
-        rate = (members - WIDTH) / (cost[0] - cost[1])
-        times = regular_times(1.0, scenario.epsilon)
-        found = dc.forecast(scenario, dc.WindPaths(paths[0].times, velocity), times=times, **how)
-        error = max(
-            np.abs(
-                found.dataset["position"].values[k]
-                - dc.trajectory(
-                    scenario, path, model="full", times=times, rtol=1e-12
-                ).position.values
-            ).max()
-            for k, path in enumerate(paths[: effort.rounds * 2])
-        )
-        rows.append([f"1/{tides}", f"{rate:,.0f}", f"{1e6 / rate:.1f}", f"{error:.1e}"])
+        for precision, dtype in (("double", np.float64), ("single", np.float32)):
+            known = velocity.astype(dtype)
+            tiled = np.tile(known, (-(-members // few), 1, 1))[:members]
+            many, first, all_few = (
+                dc.WindPaths(paths[0].times, winds) for winds in (tiled, known[:WIDTH], known)
+            )
+            del tiled
+            cost = [cpu(partial(call, winds), effort.repeats) for winds in (many, first)]
+            rate = (members - WIDTH) / (cost[0] - cost[1])
+            times = regular_times(1.0, scenario.epsilon)
+            found = dc.forecast(scenario, all_few, times=times, **how)
+            error = max(
+                np.abs(
+                    found.dataset["position"].values[k]
+                    - dc.trajectory(
+                        scenario, path, model="full", times=times, rtol=1e-12
+                    ).position.values
+                ).max()
+                for k, path in enumerate(paths[: effort.rounds * 2])
+            )
+            rows.append(
+                [f"1/{tides}", precision, f"{rate:,.0f}", f"{1e6 / rate:.1f}", f"{error:.1e}"]
+            )
     return rows
 
 
@@ -454,7 +461,10 @@ TABLES: dict[str, tuple[list[str], Callable[[Effort], list[list[str]]]]] = {
         threads,
     ),
     "split": (["what", "µs/member", "times cheaper than the row above", "error"], split),
-    "memory": (["ε", "trajectories/s", "µs/trajectory", "largest error of position"], in_memory),
+    "memory": (
+        ["ε", "precision", "trajectories/s", "µs/trajectory", "largest error of position"],
+        in_memory,
+    ),
     "averaged": (
         [
             "coast",

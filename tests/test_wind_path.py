@@ -274,6 +274,27 @@ def test_paths_together_are_the_paths_alone() -> None:
             np.testing.assert_allclose(one[name], other[name], atol=2e-6, err_msg=name)
 
 
+def test_single_precision_is_kept() -> None:
+    """It is followed as it is, by lanes and alone; nearby winds may take other steps alone."""
+    times = np.linspace(-0.1, 1.1, 6001)
+    velocity = np.random.default_rng(9).normal(0.5, 2.0, (18, len(times), 2))
+    double = dc.WindPaths(times, velocity)
+    single = dc.WindPaths(times, velocity.astype(np.float32))
+    rounded = dc.WindPaths(times, velocity.astype(np.float32).astype(float))
+    scenario = dc.paper.scenario(coast=None)
+
+    def positions(wind: dc.WindPaths, **settings: Any) -> Any:
+        return dc.forecast(scenario, wind, rtol=1e-9, **settings).dataset["position"].values
+
+    for model, most in (("full", 1e-8), ("mean-flow", 1e-6)):
+        found = positions(single, model=model)
+        np.testing.assert_array_equal(found, positions(rounded, model=model))
+        assert 0 < np.abs(found - positions(double, model=model)).max() < most
+    velocity[3, 5, 1] = np.inf
+    with pytest.raises(dc.ScenarioError, match=r"velocity: inf at \(3, 5, 1\) is not accepted"):
+        dc.WindPaths(times, velocity.astype(np.float32))
+
+
 def test_steps_of_one_length() -> None:
     """Ten steps a tide are what the full model takes by itself; two are far off."""
     times = np.linspace(0.0, 1.0, 5001)

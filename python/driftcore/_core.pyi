@@ -25,7 +25,9 @@ class WindPath:
 
 @final
 class WindPaths:
-    def __new__(cls, start: float, spacing: float, velocity: _Floats) -> WindPaths: ...
+    def __new__(
+        cls, start: float, spacing: float, velocity: _Floats | NDArray[np.float32]
+    ) -> WindPaths: ...
     def velocity(self, members: int, times: _Floats) -> _Floats: ...
 
 @final

@@ -152,23 +152,33 @@ impl WindPath {
 #[pyclass(frozen)]
 struct WindPaths(CorePaths);
 
+/// Winds in either precision, (members, knots, 2).
+#[derive(FromPyObject)]
+enum Velocity<'py> {
+    Double(PyReadonlyArray3<'py, f64>),
+    Single(PyReadonlyArray3<'py, f32>),
+}
+
 #[pymethods]
 impl WindPaths {
+    /// Keeps the winds in the precision that they come in.
     #[new]
-    fn new(
-        py: Python,
-        start: f64,
-        spacing: f64,
-        velocity: PyReadonlyArray3<f64>,
-    ) -> PyResult<Self> {
-        let values = velocity.as_array();
-        let shape = [values.shape()[0], values.shape()[1]];
-        let paths = py.detach(|| {
-            CorePaths::new(start, spacing, shape, |member, knot| {
-                Vec2::new(values[[member, knot, 0]], values[[member, knot, 1]])
-            })
-        })?;
-        Ok(Self(paths))
+    fn new(py: Python, start: f64, spacing: f64, velocity: Velocity) -> PyResult<Self> {
+        let paths = match velocity {
+            Velocity::Double(velocity) => {
+                let values = velocity.as_array();
+                let shape = [values.shape()[0], values.shape()[1]];
+                let at = |member, knot| [0, 1].map(|k| values[[member, knot, k]]).into();
+                py.detach(|| CorePaths::new(start, spacing, shape, at))
+            }
+            Velocity::Single(velocity) => {
+                let values = velocity.as_array();
+                let shape = [values.shape()[0], values.shape()[1]];
+                let at = |member, knot| [0, 1].map(|k| f64::from(values[[member, knot, k]])).into();
+                py.detach(|| CorePaths::single(start, spacing, shape, at))
+            }
+        };
+        Ok(Self(paths?))
     }
 
     /// Wind of the first `members` members at some times.

@@ -15,7 +15,7 @@ use crate::dopri5::{A, B, C, D, E, Step, powers};
 use crate::error::DriftError;
 use crate::field::{Harmonics, SeaField, Vec2};
 use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
-use crate::wind::lanes::{LaneWind, WindView};
+use crate::wind::lanes::{Knot, LaneWind, View, WindView};
 
 /// What carries the body in a model that steps side by side.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -255,10 +255,24 @@ impl State {
         tolerance: Option<(f64, f64)>,
         bounded: bool,
     ) -> Stepped {
+        match wind.view() {
+            View::Double(wind) => self.go(grid, sea, wind, steps, tolerance, bounded),
+            View::Single(wind) => self.go(grid, sea, wind, steps, tolerance, bounded),
+        }
+    }
+
+    fn go<K: Knot>(
+        &mut self,
+        grid: &Grid,
+        sea: &dyn SeaField,
+        wind: WindView<K>,
+        steps: Range<usize>,
+        tolerance: Option<(f64, f64)>,
+        bounded: bool,
+    ) -> Stepped {
         let q = self.invariant;
         let linear = grid.linear.get(steps.clone());
-        let common =
-            Common { grid, wind: wind.view(), steps, tolerance, bounded, state: &mut *self };
+        let common = Common { grid, wind, steps, tolerance, bounded, state: &mut *self };
         if let Some(matrices) = linear {
             return dispatch(StepKernel { field: Linear { matrices, q }, common });
         }
@@ -329,24 +343,24 @@ impl StageField for Anywhere<'_> {
     }
 }
 
-struct Common<'a> {
+struct Common<'a, K> {
     grid: &'a Grid,
-    wind: WindView<'a>,
+    wind: WindView<'a, K>,
     steps: Range<usize>,
     tolerance: Option<(f64, f64)>,
     bounded: bool,
     state: &'a mut State,
 }
 
-struct StepKernel<'a, F> {
+struct StepKernel<'a, F, K> {
     field: F,
-    common: Common<'a>,
+    common: Common<'a, K>,
 }
 
 /// Gives back what the field noted as well.
-struct WithLost<'a>(StepKernel<'a, Anywhere<'a>>);
+struct WithLost<'a, K>(StepKernel<'a, Anywhere<'a>, K>);
 
-impl WithSimd for WithLost<'_> {
+impl<K: Knot> WithSimd for WithLost<'_, K> {
     type Output = (Stepped, [bool; WIDTH]);
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, _: S) -> Self::Output {
@@ -355,7 +369,7 @@ impl WithSimd for WithLost<'_> {
     }
 }
 
-impl WithSimd for StepKernel<'_, Linear<'_>> {
+impl<K: Knot> WithSimd for StepKernel<'_, Linear<'_>, K> {
     type Output = Stepped;
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, _: S) -> Stepped {
@@ -375,7 +389,7 @@ fn weighted(weights: &[f64], k: &[LaneVec2; 7], h: f64, c: usize, onto: Lanes) -
     sum
 }
 
-impl<F: StageField> StepKernel<'_, F> {
+impl<F: StageField, K: Knot> StepKernel<'_, F, K> {
     #[inline(always)]
     fn go(&mut self) -> Stepped {
         let Common { grid, wind, steps, tolerance, bounded, state } = &mut self.common;

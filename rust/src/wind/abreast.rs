@@ -14,7 +14,7 @@ use pulp::bytemuck::cast;
 use crate::lanes::WIDTH;
 
 /// How many are worked out together.
-pub(super) const ABREAST: usize = WIDTH;
+pub(super) const ABREAST: usize = 16;
 
 /// Most components of a state.
 pub(super) const MAX_DIMENSION: usize = 16;
@@ -22,8 +22,21 @@ pub(super) const MAX_DIMENSION: usize = 16;
 /// Whitened or raw state; the components that it does not have are 0.
 pub(super) type State = [f64; MAX_DIMENSION];
 
-/// Some states, at most [`ABREAST`], component by component.
-pub(super) type States = [[f64; ABREAST]];
+/// The states of a group of members, component by component.
+pub(super) type States = [[f64; WIDTH]];
+
+/// One number of each member of a group.
+pub(super) type Each<T> = [T; WIDTH];
+
+/// The number of each member.
+#[inline(always)]
+pub(super) fn each(number: impl Fn(usize) -> f32) -> Each<f32> {
+    let mut numbers = [0.0; WIDTH];
+    for (at, slot) in numbers.iter_mut().enumerate() {
+        *slot = number(at);
+    }
+    numbers
+}
 
 /// After so many trials no row is drawn. A trial accepts by the law of the weights whatever went
 /// before it, so the law stays exact.

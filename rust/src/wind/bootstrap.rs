@@ -15,11 +15,12 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::abreast::{ABREAST, MAX_DIMENSION, State, States};
+use super::abreast::{Each, MAX_DIMENSION, State, States};
 use super::columns::{self, Columns};
 use super::tree::{self, Tree};
 use crate::error::{DriftError, finite, positive, room};
 use crate::field::Vec2;
+use crate::lanes::WIDTH;
 
 /// How rows are drawn is decided by so many states of a simulation, so many steps apart.
 const VISITS: usize = 64;
@@ -69,9 +70,9 @@ pub struct Chain {
 #[derive(Debug, Clone)]
 pub(crate) struct Chains {
     /// Component by component, as many as a state has.
-    states: Vec<[f64; ABREAST]>,
-    predecessor: [Option<usize>; ABREAST],
-    phase: [usize; ABREAST],
+    states: Vec<Each<f64>>,
+    predecessor: Each<Option<usize>>,
+    phase: Each<usize>,
 }
 
 impl Chains {
@@ -95,7 +96,7 @@ impl Chains {
     }
 
     /// The next value of some of them.
-    fn push(&mut self, numbers: &[usize], [x, y]: &[[f64; ABREAST]; 2], phases: usize) {
+    fn push(&mut self, numbers: &[usize], [x, y]: &[Each<f64>; 2], phases: usize) {
         for k in (2..self.states.len()).rev() {
             let earlier = self.states[k - 2];
             for at in numbers {
@@ -244,7 +245,7 @@ impl Bootstrap {
 
     fn whiten(&self, states: &States, scratch: &mut Scratch) {
         let d = self.dimension();
-        scratch.whitened.resize(d, [0.0; ABREAST]);
+        scratch.whitened.resize(d, [0.0; WIDTH]);
         let rows = self.catalogue.whitening.chunks_exact(d);
         for (z, row) in scratch.whitened.iter_mut().zip(rows) {
             *z = combined(row, states, 0.0);
@@ -283,10 +284,10 @@ impl Bootstrap {
         numbers: &[usize],
         rngs: &mut [R],
         scratch: &mut Scratch,
-    ) -> [usize; ABREAST] {
+    ) -> Each<usize> {
         let Scratch { whitened, columns, tree } = scratch;
         let (bandwidth, d) = (self.catalogue.bandwidth, self.dimension());
-        let mut drawn = [None; ABREAST];
+        let mut drawn = [None; WIDTH];
         match &self.proposals {
             Proposals::None => {}
             Proposals::Columns(of) => of.draw(whitened, numbers, rngs, columns, &mut drawn),
@@ -297,7 +298,7 @@ impl Bootstrap {
                 }
             }
         }
-        let mut rows = [0; ABREAST];
+        let mut rows = [0; WIDTH];
         for at in numbers {
             let weigh_all = || self.weigh_all(&one(whitened, *at)[..d], &mut rngs[*at]);
             rows[*at] = drawn[*at].unwrap_or_else(weigh_all);
@@ -308,9 +309,9 @@ impl Bootstrap {
     /// Room for chains, all at nothing.
     pub(crate) fn chains(&self) -> Chains {
         Chains {
-            states: vec![[0.0; ABREAST]; self.dimension()],
-            predecessor: [None; ABREAST],
-            phase: [0; ABREAST],
+            states: vec![[0.0; WIDTH]; self.dimension()],
+            predecessor: [None; WIDTH],
+            phase: [0; WIDTH],
         }
     }
 
@@ -350,7 +351,7 @@ impl Bootstrap {
 
     /// Moves one of the chains by one step of the record, to an anomaly that is given.
     pub(crate) fn hand(&self, chains: &mut Chains, at: usize, anomaly: Vec2) {
-        chains.push(&[at], &[[anomaly.x; ABREAST], [anomaly.y; ABREAST]], self.phases());
+        chains.push(&[at], &[[anomaly.x; WIDTH], [anomaly.y; WIDTH]], self.phases());
         chains.predecessor[at] = None;
     }
 
@@ -430,8 +431,8 @@ impl Bootstrap {
 }
 
 /// A state in every place.
-fn beside(state: &State, d: usize) -> Vec<[f64; ABREAST]> {
-    state[..d].iter().map(|value| [*value; ABREAST]).collect()
+fn beside(state: &State, d: usize) -> Vec<Each<f64>> {
+    state[..d].iter().map(|value| [*value; WIDTH]).collect()
 }
 
 /// One of some states.
@@ -444,8 +445,8 @@ fn one(states: &States, at: usize) -> State {
 }
 
 /// A linear function of the states.
-fn combined(factors: &[f64], states: &States, constant: f64) -> [f64; ABREAST] {
-    let mut sums = [constant; ABREAST];
+fn combined(factors: &[f64], states: &States, constant: f64) -> Each<f64> {
+    let mut sums = [constant; WIDTH];
     for (factor, component) in factors.iter().zip(states) {
         for (sum, value) in sums.iter_mut().zip(component) {
             *sum += factor * value;
@@ -478,7 +479,7 @@ impl Proposals {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Scratch {
     /// States that are moved on, whitened.
-    whitened: Vec<[f64; ABREAST]>,
+    whitened: Vec<Each<f64>>,
     columns: columns::Scratch,
     tree: tree::Scratch,
 }

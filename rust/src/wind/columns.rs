@@ -25,10 +25,10 @@ use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
 use super::abreast::{
-    ABREAST, Abreast, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, ROUNDED, State, States, greater,
-    less_distance2, lesser, part, power,
+    ABREAST, Abreast, Each, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, ROUNDED, State, States, each,
+    greater, less_distance2, lesser, part, power,
 };
-use crate::lanes::dispatch;
+use crate::lanes::{WIDTH, dispatch};
 
 /// Last components, whose kernels are summed in the table of the columns.
 const TABLED: usize = 2;
@@ -103,60 +103,60 @@ impl Axis {
 
     /// Places of some values, in spacings, and how far they are beyond the lattice.
     #[inline(always)]
-    fn locate(&self, values: &Abreast) -> (Abreast, Abreast) {
+    fn locate(&self, values: &Each<f32>) -> (Each<f32>, Each<f32>) {
         let (low, per_spacing, last) = (self.low, 1.0 / self.spacing, (self.nodes - 1) as f32);
-        let place = Abreast::of(|k| (values[k] - low) * per_spacing);
-        let inside = Abreast::of(|k| lesser(greater(place[k], 0.0), last));
-        (inside, Abreast::of(|k| (place[k] - inside[k]) * self.spacing))
+        let place = each(|k| (values[k] - low) * per_spacing);
+        let inside = each(|k| lesser(greater(place[k], 0.0), last));
+        (inside, each(|k| (place[k] - inside[k]) * self.spacing))
     }
 }
 
 /// The simplices of a lattice that some places are in: from node to node, one step along each
 /// component, those first in which a place is farthest from the node before.
 struct Simplices<const K: usize> {
-    first: [u32; ABREAST],
+    first: Each<u32>,
     /// From each node to the next.
-    steps: [[u32; ABREAST]; K],
+    steps: [Each<u32>; K],
     /// Shares of the first node, and of the others, in the interpolation.
-    of_first: Abreast,
-    shares: [Abreast; K],
+    of_first: Each<f32>,
+    shares: [Each<f32>; K],
     /// `Σ share·x²` of the nodes less that of the place, for each component `x` in spacings.
-    above: [Abreast; K],
+    above: [Each<f32>; K],
 }
 
 impl<const K: usize> Simplices<K> {
     /// Of places in spacings, in a lattice with so many nodes in each component.
     #[inline(always)]
-    fn around(places: &[Abreast; K], nodes: [usize; K]) -> Self {
+    fn around(places: &[Each<f32>; K], nodes: [usize; K]) -> Self {
         // Numbers of nodes are whole, and small enough for single precision.
-        let mut first = Abreast::default();
-        let mut steps = [Abreast::default(); K];
-        let mut fractions = [Abreast::default(); K];
-        let mut above = [Abreast::default(); K];
+        let mut first = [0.0; WIDTH];
+        let mut steps = [[0.0; WIDTH]; K];
+        let mut fractions = [[0.0; WIDTH]; K];
+        let mut above = [[0.0; WIDTH]; K];
         let mut stride = 1.0;
         for k in (0..K).rev() {
             let last = nodes[k] as f32 - 2.0;
-            let node = Abreast::of(|at| lesser(places[k][at].floor(), last));
-            let f = Abreast::of(|at| places[k][at] - node[at]);
-            first = Abreast::of(|at| node[at].mul_add(stride, first[at]));
-            above[k] = Abreast::of(|at| f[at] * (1.0 - f[at]));
+            let node = each(|at| lesser(places[k][at].floor(), last));
+            let f = each(|at| places[k][at] - node[at]);
+            first = each(|at| node[at].mul_add(stride, first[at]));
+            above[k] = each(|at| f[at] * (1.0 - f[at]));
             fractions[k] = f;
-            steps[k] = Abreast::splat(stride);
+            steps[k] = [stride; WIDTH];
             stride *= nodes[k] as f32;
         }
         for end in (1..K).rev() {
             for k in 0..end {
                 let [f, g, a, b] = [fractions[k], fractions[k + 1], steps[k], steps[k + 1]];
-                fractions[k] = Abreast::of(|at| greater(f[at], g[at]));
-                fractions[k + 1] = Abreast::of(|at| lesser(f[at], g[at]));
-                steps[k] = Abreast::of(|at| if f[at] < g[at] { b[at] } else { a[at] });
-                steps[k + 1] = Abreast::of(|at| if f[at] < g[at] { a[at] } else { b[at] });
+                fractions[k] = each(|at| greater(f[at], g[at]));
+                fractions[k + 1] = each(|at| lesser(f[at], g[at]));
+                steps[k] = each(|at| if f[at] < g[at] { b[at] } else { a[at] });
+                steps[k + 1] = each(|at| if f[at] < g[at] { a[at] } else { b[at] });
             }
         }
-        let of_first = Abreast::of(|at| 1.0 - fractions[0][at]);
+        let of_first = each(|at| 1.0 - fractions[0][at]);
         let mut shares = fractions;
         for k in 1..K {
-            shares[k - 1] = Abreast::of(|at| fractions[k - 1][at] - fractions[k][at]);
+            shares[k - 1] = each(|at| fractions[k - 1][at] - fractions[k][at]);
         }
         Self { first: whole(&first), steps: steps.map(|of| whole(&of)), of_first, shares, above }
     }
@@ -164,8 +164,8 @@ impl<const K: usize> Simplices<K> {
 
 /// Whole numbers.
 #[inline(always)]
-fn whole(numbers: &Abreast) -> [u32; ABREAST] {
-    let mut whole = [0; ABREAST];
+fn whole(numbers: &Each<f32>) -> Each<u32> {
+    let mut whole = [0; WIDTH];
     for (at, whole) in whole.iter_mut().enumerate() {
         // The sum has no bits after the point.
         *whole = (numbers[at] + 8_388_608.0).to_bits() & 0x7f_ffff;
@@ -356,7 +356,7 @@ impl Columns {
         numbers: &[usize],
         rngs: &mut [R],
         scratch: &mut Scratch,
-        drawn: &mut [Option<usize>; ABREAST],
+        drawn: &mut Each<Option<usize>>,
     ) {
         dispatch(Draw { columns: self, states, numbers, rngs, scratch, drawn });
     }
@@ -379,16 +379,16 @@ pub(super) struct Scratch {
 #[derive(Debug, Clone, Default)]
 struct Looks {
     /// The states, component by component.
-    place: [Abreast; MAX_DIMENSION],
+    place: [Each<f32>; MAX_DIMENSION],
     /// Added to the binary logarithm of a column's bound, and of a row's kernel, to compare it with
     /// the bundles' bounds.
-    of_columns: Abreast,
-    of_rows: Abreast,
+    of_columns: Each<f32>,
+    of_rows: Each<f32>,
     /// Nodes of the columns' table, and their shares.
-    nodes: [[u32; ABREAST]; TABLED + 1],
-    shares: [Abreast; TABLED + 1],
+    nodes: [Each<u32>; TABLED + 1],
+    shares: [Each<f32>; TABLED + 1],
     /// Sums of the bounds up to each place of all registers, state by state.
-    upto: [Abreast; ABREAST],
+    upto: Each<Abreast>,
 }
 
 /// Works out all bounds at a state.
@@ -403,7 +403,7 @@ impl WithSimd for Weigh<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let Self { columns, state } = self;
-        let states = state.map(|z| [z; ABREAST]);
+        let states = state.map(|z| [z; WIDTH]);
         let (d, scratch) = (columns.dimension, &mut Scratch::default());
         columns.look_up(simd, &states, &[0], d, scratch);
         let Scratch { sums, looks } = scratch;
@@ -430,7 +430,7 @@ struct Draw<'a, R> {
     numbers: &'a [usize],
     rngs: &'a mut [R],
     scratch: &'a mut Scratch,
-    drawn: &'a mut [Option<usize>; ABREAST],
+    drawn: &'a mut Each<Option<usize>>,
 }
 
 impl<R: Rng> WithSimd for Draw<'_, R> {
@@ -451,17 +451,17 @@ impl<R: Rng> Draw<'_, R> {
         columns.look_up(simd, states, numbers, d, scratch);
         let Scratch { sums, looks } = scratch;
         let room = columns.registers + 1;
-        let mut waiting = [0; ABREAST];
+        let mut waiting = [0; WIDTH];
         let mut count = 0;
         for number in numbers {
             // Single precision does not tell bounds apart that are next to nothing.
             waiting[count] = *number;
             count += usize::from(looks.upto[*number][ABREAST - 1] >= LEAST_TOTAL);
         }
-        let mut slots = [usize::MAX; ABREAST];
-        let mut trials = [Trial::default(); ABREAST];
-        let mut of_columns = [[Abreast::default(); WIDE]; ABREAST];
-        let mut of_rows = [Abreast::default(); ABREAST];
+        let mut slots = [usize::MAX; WIDTH];
+        let mut trials = [Trial::default(); WIDTH];
+        let mut of_columns = [[Abreast::default(); WIDE]; WIDTH];
+        let mut of_rows = [Abreast::default(); WIDTH];
         for _ in 0..MAX_TRIALS {
             if count == 0 {
                 break;
@@ -598,38 +598,38 @@ impl Columns {
         Scratch { sums, looks }: &mut Scratch,
     ) {
         for (place, state) in looks.place[..d].iter_mut().zip(states) {
-            *place = Abreast::of(|at| (state[at] * self.unit) as f32);
+            *place = each(|at| (state[at] * self.unit) as f32);
         }
         let lattice = &self.lattice[..K];
-        let mut inside = [Abreast::default(); K];
-        let mut beyond = [Abreast::default(); K];
+        let mut inside = [[0.0; WIDTH]; K];
+        let mut beyond = [[0.0; WIDTH]; K];
         for (k, axis) in lattice.iter().enumerate() {
             (inside[k], beyond[k]) = axis.locate(&looks.place[d - K + k]);
         }
         let nodes = std::array::from_fn(|k| lattice[k].nodes);
         let simplices = Simplices::around(&inside, nodes);
-        let mut shift = Abreast::default();
+        let mut shift = [0.0; WIDTH];
         for (k, axis) in lattice.iter().enumerate() {
             if k == K - TABLED {
                 looks.of_columns = shift;
             }
             let (square, above, beyond) =
                 (axis.spacing * axis.spacing, simplices.above[k], beyond[k]);
-            shift = Abreast::of(|at| (-square).mul_add(above[at], shift[at]));
-            shift = Abreast::of(|at| beyond[at].mul_add(beyond[at], shift[at]));
+            shift = each(|at| (-square).mul_add(above[at], shift[at]));
+            shift = each(|at| beyond[at].mul_add(beyond[at], shift[at]));
         }
         looks.of_rows = shift;
         let tabled: [_; TABLED] = [inside[K - 2], inside[K - 1]];
         let in_table = Simplices::around(&tabled, [nodes[K - 2], nodes[K - 1]]);
         (looks.nodes[0], looks.shares[0]) = (in_table.first, in_table.of_first);
         for k in 0..TABLED {
-            for at in 0..ABREAST {
+            for at in 0..WIDTH {
                 looks.nodes[k + 1][at] = looks.nodes[k][at] + in_table.steps[k][at];
             }
             looks.shares[k + 1] = in_table.shares[k];
         }
         let room = self.registers + 1;
-        sums.resize(room * ABREAST, Abreast::default());
+        sums.resize(room * WIDTH, Abreast::default());
         for number in numbers.iter().copied() {
             let mut totals = Abreast::default();
             let sums = &mut sums[number * room..][..room];
@@ -722,7 +722,7 @@ mod tests {
         let last = axis.at(axis.nodes - 1);
         assert!((-3.001..=-3.0).contains(&axis.at(0)) && (4.0..4.001).contains(&last));
         assert!(f64::from(axis.spacing) < 1.001 * 0.7);
-        let (inside, beyond) = axis.locate(&Abreast::of(|k| [-3.0, 0.1, 4.0, 5.0, -5.0][k % 5]));
+        let (inside, beyond) = axis.locate(&each(|k| [-3.0, 0.1, 4.0, 5.0, -5.0][k % 5]));
         for (k, value) in values.into_iter().enumerate() {
             let there = axis.at(0) + f64::from(inside[k] * axis.spacing);
             assert!((there - value).abs() < 1e-5 && beyond[k].abs() < 1e-5, "{there} {value}");
@@ -738,9 +738,9 @@ mod tests {
         let nodes = [7, 5, 9];
         let last = nodes.map(|n| (n - 1) as f32);
         let place = |k: usize, at: usize| last[k] * [0.0, 1.0, 0.5, 0.31, 0.77][(at + k * at) % 5];
-        let places: [Abreast; 3] = std::array::from_fn(|k| Abreast::of(|at| place(k, at)));
+        let places: [Each<f32>; 3] = std::array::from_fn(|k| each(|at| place(k, at)));
         let around = Simplices::around(&places, nodes);
-        for at in 0..ABREAST {
+        for at in 0..WIDTH {
             let (mut share, mut node) = (around.of_first[at], around.first[at] as usize);
             let mut interpolated = [0.0; 3];
             let mut squares = [0.0; 3];
@@ -832,17 +832,17 @@ mod tests {
     fn states_are_on_their_own() -> Result<(), &'static str> {
         let whitened = states(700, 4);
         let columns = &Columns::new(&whitened, 4, 0.3).ok_or("too many nodes")?;
-        let places: Vec<[f64; ABREAST]> =
+        let places: Vec<[f64; WIDTH]> =
             (0..4).map(|k| std::array::from_fn(|at| whitened[4 * (40 * at) + k] + 0.1)).collect();
         let draw = |chosen: &[usize], wide: bool| {
-            let of = |component: &[f64; ABREAST]| {
+            let of = |component: &[f64; WIDTH]| {
                 std::array::from_fn(|at| component[chosen[at.min(chosen.len() - 1)]])
             };
-            let states: Vec<[f64; ABREAST]> = places.iter().map(of).collect();
+            let states: Vec<[f64; WIDTH]> = places.iter().map(of).collect();
             let seeded = |at: &usize| ChaCha8Rng::seed_from_u64(*at as u64);
             let mut rngs: Vec<ChaCha8Rng> = chosen.iter().map(seeded).collect();
             let numbers: Vec<usize> = (0..chosen.len()).collect();
-            let (scratch, drawn) = (&mut Scratch::default(), &mut [None; ABREAST]);
+            let (scratch, drawn) = (&mut Scratch::default(), &mut [None; WIDTH]);
             if wide {
                 columns.draw(&states, &numbers, &mut rngs, scratch, drawn);
             } else {
@@ -853,7 +853,7 @@ mod tests {
             let next: Vec<u64> = rngs.iter_mut().map(|rng| rng.random()).collect();
             (*drawn, next)
         };
-        let all = std::array::from_fn::<_, ABREAST, _>(|at| at);
+        let all = std::array::from_fn::<_, WIDTH, _>(|at| at);
         let (drawn, next) = draw(&all, true);
         assert_eq!(draw(&all, false), (drawn, next.clone()));
         for at in all {

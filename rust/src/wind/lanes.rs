@@ -10,6 +10,53 @@ use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
 use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
 
+/// The winds of a group of members at one knot.
+pub(crate) trait Knot: Copy + Send + Sync {
+    /// Calm.
+    const CALM: Self;
+    /// All of them.
+    fn lanes(&self) -> LaneVec2;
+    /// Sets one of them.
+    fn set(&mut self, place: usize, wind: Vec2);
+}
+
+impl Knot for LaneVec2 {
+    const CALM: Self = [Lanes::ZERO; 2];
+
+    #[inline(always)]
+    fn lanes(&self) -> LaneVec2 {
+        *self
+    }
+
+    fn set(&mut self, place: usize, wind: Vec2) {
+        set_lane(self, place, wind);
+    }
+}
+
+/// The same in single precision: half as much memory to go through.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
+pub(crate) struct Single([[f32; WIDTH]; 2]);
+
+impl Knot for Single {
+    const CALM: Self = Self([[0.0; WIDTH]; 2]);
+
+    #[inline(always)]
+    fn lanes(&self) -> LaneVec2 {
+        let mut lanes = [Lanes::ZERO; 2];
+        for (lanes, winds) in lanes.iter_mut().zip(&self.0) {
+            for (lane, wind) in lanes.0.iter_mut().zip(winds) {
+                *lane = f64::from(*wind);
+            }
+        }
+        lanes
+    }
+
+    fn set(&mut self, place: usize, wind: Vec2) {
+        (self.0[0][place], self.0[1][place]) = (wind.x as f32, wind.y as f32);
+    }
+}
+
 /// Winds of an ensemble in memory, on common regular knots, [`WIDTH`] members to a block.
 #[derive(Debug, Clone)]
 pub struct WindPaths {
@@ -17,8 +64,14 @@ pub struct WindPaths {
     spacing: f64,
     knots: usize,
     members: usize,
-    /// Block by block, knot by knot.
-    blocks: Vec<LaneVec2>,
+    blocks: Blocks,
+}
+
+/// Block by block, knot by knot.
+#[derive(Debug, Clone)]
+enum Blocks {
+    Double(Vec<LaneVec2>),
+    Single(Vec<Single>),
 }
 
 impl WindPaths {
@@ -26,8 +79,27 @@ impl WindPaths {
     pub fn new(
         start: f64,
         spacing: f64,
-        [members, knots]: [usize; 2],
+        shape: [usize; 2],
         velocity: impl Fn(usize, usize) -> Vec2,
+    ) -> Result<Self, DriftError> {
+        Self::of(start, spacing, shape, || Ok(Blocks::Double(blocks(shape, velocity)?)))
+    }
+
+    /// The same, kept in single precision: seven digits in half the memory.
+    pub fn single(
+        start: f64,
+        spacing: f64,
+        shape: [usize; 2],
+        velocity: impl Fn(usize, usize) -> Vec2,
+    ) -> Result<Self, DriftError> {
+        Self::of(start, spacing, shape, || Ok(Blocks::Single(blocks(shape, velocity)?)))
+    }
+
+    fn of(
+        start: f64,
+        spacing: f64,
+        [members, knots]: [usize; 2],
+        blocks: impl FnOnce() -> Result<Blocks, DriftError>,
     ) -> Result<Self, DriftError> {
         positive("wind paths' spacing", spacing)?;
         finite("wind paths' start", &[start, start + knots as f64 * spacing])?;
@@ -38,23 +110,7 @@ impl WindPaths {
                 "they need at least 1 member and 2 knots",
             ));
         }
-        let groups = members.div_ceil(WIDTH);
-        let count = product("wind paths", &[groups, knots])?;
-        let mut blocks = room("wind paths", count)?;
-        blocks.resize(count, [Lanes::ZERO; 2]);
-        for (group, block) in blocks.chunks_exact_mut(knots).enumerate() {
-            for (knot, values) in block.iter_mut().enumerate() {
-                for place in 0..WIDTH {
-                    let member = group * WIDTH + place;
-                    if member < members {
-                        let wind = velocity(member, knot);
-                        finite("wind paths' velocity", wind.as_slice())?;
-                        set_lane(values, place, wind);
-                    }
-                }
-            }
-        }
-        Ok(Self { start, spacing, knots, members, blocks })
+        Ok(Self { start, spacing, knots, members, blocks: blocks()? })
     }
 
     /// Number of members.
@@ -72,16 +128,20 @@ impl WindPaths {
         require_cover((self.start, self.end()), (start, end))
     }
 
-    fn block(&self, group: usize) -> &[LaneVec2] {
-        &self.blocks[group * self.knots..(group + 1) * self.knots]
+    /// Wind of one member at a knot.
+    fn knot(&self, member: usize, knot: usize) -> Vec2 {
+        let (at, place) = (member / WIDTH * self.knots + knot, member % WIDTH);
+        match &self.blocks {
+            Blocks::Double(blocks) => lane(&blocks[at], place),
+            Blocks::Single(blocks) => lane(&blocks[at].lanes(), place),
+        }
     }
 
     /// Wind of one member at time `t`; the end intervals are continued.
     pub fn velocity(&self, member: usize, t: f64) -> Vec2 {
         let place = (t - self.start) / self.spacing;
         let knot = (place.max(0.0) as usize).min(self.knots - 2);
-        let block = self.block(member / WIDTH);
-        let [here, next] = [knot, knot + 1].map(|k| lane(&block[k], member % WIDTH));
+        let [here, next] = [knot, knot + 1].map(|knot| self.knot(member, knot));
         here.lerp(&next, place - knot as f64)
     }
 
@@ -91,14 +151,33 @@ impl WindPaths {
             return Err(DriftError::invalid("member", member, "it has no wind path"));
         }
         let times = (0..self.knots).map(|k| self.start + k as f64 * self.spacing).collect();
-        let knots = self.block(member / WIDTH).iter();
-        WindPath::new(times, knots.map(|values| lane(values, member % WIDTH)).collect())
+        WindPath::new(times, (0..self.knots).map(|knot| self.knot(member, knot)).collect())
     }
+}
+
+fn blocks<K: Knot>(
+    [members, knots]: [usize; 2],
+    velocity: impl Fn(usize, usize) -> Vec2,
+) -> Result<Vec<K>, DriftError> {
+    let count = product("wind paths", &[members.div_ceil(WIDTH), knots])?;
+    let mut blocks = room("wind paths", count)?;
+    blocks.resize(count, K::CALM);
+    for (group, block) in blocks.chunks_exact_mut(knots).enumerate() {
+        for (knot, values) in block.iter_mut().enumerate() {
+            for member in group * WIDTH..members.min((group + 1) * WIDTH) {
+                let wind = velocity(member, knot);
+                finite("wind paths' velocity", wind.as_slice())?;
+                values.set(member % WIDTH, wind);
+            }
+        }
+    }
+    Ok(blocks)
 }
 
 /// Where the wind of a group of members comes from.
 enum Source<'a> {
-    InMemory(&'a [LaneVec2]),
+    Double(&'a [LaneVec2]),
+    Single(&'a [Single]),
     Drawn {
         winds: Box<MemberWinds<'a>>,
         sampling: Sampling,
@@ -170,23 +249,25 @@ impl<'a> LaneWind<'a> {
     /// Members `WIDTH·group` and following, in memory.
     pub fn in_memory(paths: &'a WindPaths, group: usize) -> Self {
         let (spacing, start) = (paths.spacing, paths.start);
-        let source = Source::InMemory(paths.block(group));
+        let block = group * paths.knots..(group + 1) * paths.knots;
+        let source = match &paths.blocks {
+            Blocks::Double(blocks) => Source::Double(&blocks[block]),
+            Blocks::Single(blocks) => Source::Single(&blocks[block]),
+        };
         let zero = [[Lanes::ZERO; 2]; 2];
         let mut wind = Self { source, spacing, start, dropped: 0, base: 0, sums: zero };
         let u;
         (wind.base, u) = wind.place(0.0);
         // From that knot to the release, which becomes the origin of the integrals.
-        let first = &paths.block(group)[wind.base];
-        wind.sums = sums_of(zero, first);
-        let mut walk = wind.view().walk();
-        let single = walk.integral(0.0);
-        let double = walk.double_integral(0.0, 1.0, zero[0]);
+        let first = wind.knot(wind.base);
+        wind.sums = sums_of(zero, &first);
+        let [double, single, _] = wind.seen(0.0, 1.0, zero[0]);
         let (mut before, mut before_that) = (zero[0], zero[0]);
         for k in 0..2 {
             before[k] = single[k] * (-1.0 / spacing);
             before_that[k] = (single[k] * (u / spacing)) - double[k] * (1.0 / (spacing * spacing));
         }
-        wind.sums = sums_of([before, before_that], first);
+        wind.sums = sums_of([before, before_that], &first);
         wind
     }
 
@@ -229,7 +310,10 @@ impl<'a> LaneWind<'a> {
 
     /// `onto + factor·∬W` and `∫W` at time `t`, which all have come to, and the last wind drawn.
     pub(crate) fn seen(&self, t: f64, factor: f64, onto: LaneVec2) -> [LaneVec2; 3] {
-        dispatch(SeenKernel { wind: self.view(), t, factor, onto })
+        match self.view() {
+            View::Double(wind) => dispatch(SeenKernel { wind, t, factor, onto }),
+            View::Single(wind) => dispatch(SeenKernel { wind, t, factor, onto }),
+        }
     }
 
     /// Begins where a member is that is to join, and not at the release.
@@ -307,17 +391,37 @@ impl<'a> LaneWind<'a> {
     /// Knot before `t`, among those held, and the place in its interval.
     fn place(&self, t: f64) -> (usize, f64) {
         let place = (t - self.start) / self.spacing;
-        let last = self.view().velocity.len() - 2;
-        let knot = (place as usize).saturating_sub(self.dropped).min(last);
+        let knot = (place as usize).saturating_sub(self.dropped).min(self.held() - 2);
         (knot, place - (self.dropped + knot) as f64)
     }
 
+    /// Number of knots held.
+    fn held(&self) -> usize {
+        match &self.source {
+            Source::Double(knots) => knots.len(),
+            Source::Single(knots) => knots.len(),
+            Source::Drawn { velocity, .. } => velocity.len(),
+        }
+    }
+
+    /// The winds at one of them.
+    fn knot(&self, knot: usize) -> LaneVec2 {
+        match self.view() {
+            View::Double(view) => view.velocity[knot],
+            View::Single(view) => view.velocity[knot].lanes(),
+        }
+    }
+
     /// What a kernel needs of the wind over one step.
-    pub(crate) fn view(&self) -> WindView<'_> {
-        let (velocity, excess): (&[LaneVec2], &[LaneVec2]) = match &self.source {
-            Source::InMemory(knots) => (knots, &[]),
-            Source::Drawn { velocity, excess, .. } => (velocity, excess),
-        };
+    pub(crate) fn view(&self) -> View<'_> {
+        match &self.source {
+            Source::Double(knots) => View::Double(self.view_of(knots, &[])),
+            Source::Single(knots) => View::Single(self.view_of(knots, &[])),
+            Source::Drawn { velocity, excess, .. } => View::Double(self.view_of(velocity, excess)),
+        }
+    }
+
+    fn view_of<'b, K>(&'b self, velocity: &'b [K], excess: &'b [LaneVec2]) -> WindView<'b, K> {
         WindView {
             velocity,
             excess,
@@ -338,47 +442,53 @@ impl<'a> LaneWind<'a> {
     /// One member's path over `[t0, t1]`, its integrals counted from the release; to be asked
     /// before the wind has gone on.
     pub(crate) fn stretch(&self, t1: f64, place: usize) -> WindPath {
-        let view = self.view();
-        let last = (self.place(t1).0 + 1).min(view.velocity.len() - 1);
-        let of = |knots: &[LaneVec2], end: usize| {
-            knots.get(view.base..end).unwrap_or(&[]).iter().map(|w| lane(w, place)).collect()
+        let last = (self.place(t1).0 + 1).min(self.held() - 1);
+        let excess = match &self.source {
+            Source::Drawn { excess, .. } => excess.get(self.base..last).unwrap_or_default(),
+            _ => &[],
         };
-        let [single, double] = view.sums.map(|sum| lane(&sum, place));
-        let first = lane(&view.velocity[view.base], place);
+        let [single, double] = self.sums.map(|sum| lane(&sum, place));
+        let first = lane(&self.knot(self.base), place);
         let (single, double) = (single - first / 2.0, double + first / 6.0);
         WindPath::stretch(
-            view.start + (view.dropped + view.base) as f64 * view.spacing,
-            view.spacing,
-            of(view.velocity, last + 1),
-            of(view.excess, last),
-            [single * view.spacing, double * (view.spacing * view.spacing)],
+            self.start + (self.dropped + self.base) as f64 * self.spacing,
+            self.spacing,
+            (self.base..=last).map(|knot| lane(&self.knot(knot), place)).collect(),
+            excess.iter().map(|w| lane(w, place)).collect(),
+            [single * self.spacing, double * (self.spacing * self.spacing)],
         )
     }
 }
 
-struct SeenKernel<'a> {
-    wind: WindView<'a>,
+struct SeenKernel<'a, K> {
+    wind: WindView<'a, K>,
     t: f64,
     factor: f64,
     onto: LaneVec2,
 }
 
-impl WithSimd for SeenKernel<'_> {
+impl<K: Knot> WithSimd for SeenKernel<'_, K> {
     type Output = [LaneVec2; 3];
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> Self::Output {
         let Self { wind, t, factor, onto } = self;
         let mut walk = wind.walk();
         let single = walk.integral(t);
-        let last = wind.velocity[wind.velocity.len() - 1];
+        let last = wind.velocity[wind.velocity.len() - 1].lanes();
         [walk.double_integral(t, factor, onto), single, last]
     }
 }
 
+/// The knots around one step, in either precision.
+pub(crate) enum View<'a> {
+    Double(WindView<'a, LaneVec2>),
+    Single(WindView<'a, Single>),
+}
+
 /// The knots around one step, and the sums up to the first of them.
 #[derive(Clone, Copy)]
-pub(crate) struct WindView<'a> {
-    velocity: &'a [LaneVec2],
+pub(crate) struct WindView<'a, K> {
+    velocity: &'a [K],
     excess: &'a [LaneVec2],
     spacing: f64,
     start: f64,
@@ -388,15 +498,15 @@ pub(crate) struct WindView<'a> {
 }
 
 /// A walk along the knots: two additions a knot.
-pub(crate) struct Walk<'a> {
-    view: WindView<'a>,
+pub(crate) struct Walk<'a, K> {
+    view: WindView<'a, K>,
     knot: usize,
     sums: Sums,
 }
 
-impl<'a> WindView<'a> {
+impl<'a, K: Knot> WindView<'a, K> {
     #[inline(always)]
-    pub(crate) fn walk(self) -> Walk<'a> {
+    pub(crate) fn walk(self) -> Walk<'a, K> {
         Walk { view: self, knot: self.base, sums: *self.sums }
     }
 
@@ -407,6 +517,7 @@ impl<'a> WindView<'a> {
         let last = last.saturating_sub(self.dropped).min(self.velocity.len() - 1);
         let mut speed = Lanes::ZERO;
         for w in &self.velocity[self.base..=last] {
+            let w = w.lanes();
             speed = speed.max(w[0].abs() + w[1].abs());
         }
         let mut excess = Lanes::ZERO;
@@ -417,7 +528,7 @@ impl<'a> WindView<'a> {
     }
 }
 
-impl Walk<'_> {
+impl<K: Knot> Walk<'_, K> {
     /// Goes on to the knot before `t`, which is not before the last one asked for, and gives the
     /// place in its interval.
     #[inline(always)]
@@ -427,7 +538,7 @@ impl Walk<'_> {
         let target = (place as usize).saturating_sub(view.dropped).min(view.velocity.len() - 2);
         let [single, double] = &mut self.sums;
         while self.knot < target {
-            let next = &view.velocity[self.knot + 1];
+            let next = view.velocity[self.knot + 1].lanes();
             for k in 0..2 {
                 double[k] += single[k];
                 single[k] += next[k];
@@ -448,7 +559,8 @@ impl Walk<'_> {
     pub(crate) fn double_integral(&mut self, t: f64, factor: f64, onto: LaneVec2) -> LaneVec2 {
         let u = self.go_to(t);
         let view = &self.view;
-        let (last, next) = (&view.velocity[self.knot], &view.velocity[self.knot + 1]);
+        let last = view.velocity[self.knot].lanes();
+        let next = view.velocity[self.knot + 1].lanes();
         let factor = factor * view.spacing * view.spacing;
         let of_last = factor * (1.0 - u).powi(3) / 6.0;
         let of_next = factor * u * u * u / 6.0;
@@ -472,7 +584,8 @@ impl Walk<'_> {
     pub(crate) fn integral(&mut self, t: f64) -> LaneVec2 {
         let u = self.go_to(t);
         let view = &self.view;
-        let (last, next) = (&view.velocity[self.knot], &view.velocity[self.knot + 1]);
+        let last = view.velocity[self.knot].lanes();
+        let next = view.velocity[self.knot + 1].lanes();
         let mut sum = self.sums[0];
         for k in 0..2 {
             sum[k] =
@@ -505,11 +618,9 @@ mod tests {
     const MEMBERS: usize = 20;
 
     /// Winds of a wavy kind on knots that begin before the release, but not at a whole knot.
-    fn in_memory() -> Result<WindPaths, DriftError> {
-        WindPaths::new(-0.34, 0.25, [MEMBERS, 12], |member, knot| {
-            let phase = (3 * member + 2 * knot) as f64;
-            Vec2::new(phase.sin(), 2.0 + phase.cos())
-        })
+    fn wavy(member: usize, knot: usize) -> Vec2 {
+        let phase = (3 * member + 2 * knot) as f64;
+        Vec2::new(phase.sin(), 2.0 + phase.cos())
     }
 
     fn generator() -> Result<WindGenerator, DriftError> {
@@ -542,49 +653,73 @@ mod tests {
         for n in (0..steps as usize).step_by(4) {
             let end = time(n + 4);
             wind.draw_until(end, &wanted);
-            let mut walk = wind.view().walk();
+            let walked = match wind.view() {
+                View::Double(view) => assert_walks(view, [n, n + 4].map(time), place, path),
+                View::Single(view) => assert_walks(view, [n, n + 4].map(time), place, path),
+            };
             for t in (n..=n + 4).map(time) {
                 let (single, double) = path.integrals(t);
-                let (single, double) = (single - single0, double - double0 - single0 * t);
-                near(lane(&walk.integral(t), place), single);
-                let from = [Lanes::splat(0.3), Lanes::splat(-0.2)];
-                let moved = lane(&walk.double_integral(t, 1.7, from), place);
-                near(moved, double * 1.7 + Vec2::new(0.3, -0.2));
                 let stretch = wind.stretch(end, place);
                 near(stretch.velocity(t), path.velocity(t));
-                near(stretch.integral(t), single);
-                near(stretch.double_integral(t), double);
+                near(stretch.integral(t), single - single0);
+                near(stretch.double_integral(t), double - double0 - single0 * t);
             }
             // No knot of the stretch is beyond the interval of its end.
-            let view = wind.view();
-            let first = view.start + (view.dropped + view.base) as f64 * view.spacing;
+            let first = wind.start + (wind.dropped + wind.base) as f64 * wind.spacing;
             let knots = wind.stretch(end, place).times().len() as f64;
-            assert!(first + (knots - 2.0) * view.spacing <= end + 1e-12);
-            let bound = view.max_speed(end).0[place];
-            let known: f64 = (0..40)
-                .map(|k| path.velocity(first + (end - first) * f64::from(k) / 39.0).norm())
-                .fold(0.0, f64::max);
-            assert!(bound >= known, "{bound} {known}");
-            let walked = walk.end();
+            assert!(first + (knots - 2.0) * wind.spacing <= end + 1e-12);
             wind.go_on(walked);
         }
     }
 
+    /// Walks from `start` to `end`; where it comes to.
+    fn assert_walks<K: Knot>(
+        view: WindView<K>,
+        [start, end]: [f64; 2],
+        place: usize,
+        path: &WindPath,
+    ) -> (usize, Sums) {
+        let (single0, double0) = path.integrals(0.0);
+        let near = |a: Vec2, b: Vec2| assert!((a - b).norm() < 1e-12, "{a} {b}");
+        let mut walk = view.walk();
+        for k in 0..=4 {
+            let t = start + (end - start) * f64::from(k) / 4.0;
+            let (single, double) = path.integrals(t);
+            near(lane(&walk.integral(t), place), single - single0);
+            let from = [Lanes::splat(0.3), Lanes::splat(-0.2)];
+            let moved = lane(&walk.double_integral(t, 1.7, from), place);
+            let double = double - double0 - single0 * t;
+            near(moved, double * 1.7 + Vec2::new(0.3, -0.2));
+        }
+        let first = view.start + (view.dropped + view.base) as f64 * view.spacing;
+        let bound = view.max_speed(end).0[place];
+        let known: f64 = (0..40)
+            .map(|k| path.velocity(first + (end - first) * f64::from(k) / 39.0).norm())
+            .fold(0.0, f64::max);
+        assert!(bound >= known, "{bound} {known}");
+        walk.end()
+    }
+
     #[test]
     fn a_walk_is_the_path() -> Result<(), DriftError> {
-        let paths = in_memory()?;
-        for member in [0, 5, 15, 16, 19] {
-            let path = paths.path(member)?;
-            assert_eq!((path.start(), path.end(), path.knots().len()), (-0.34, paths.end(), 12));
-            for (knot, t) in path.times().iter().enumerate() {
-                let phase = (3 * member + 2 * knot) as f64;
-                assert_eq!(path.knots()[knot], Vec2::new(phase.sin(), 2.0 + phase.cos()));
-                for t in [t - 0.2, *t, t + 0.1] {
-                    assert!((paths.velocity(member, t) - path.velocity(t)).norm() < 1e-12);
+        let double = WindPaths::new(-0.34, 0.25, [MEMBERS, 12], wavy)?;
+        let single = WindPaths::single(-0.34, 0.25, [MEMBERS, 12], wavy)?;
+        for (paths, rounding) in [(double, 0.0), (single, 2e-7)] {
+            for member in [0, 5, 15, 16, 19] {
+                let path = paths.path(member)?;
+                assert_eq!(
+                    (path.start(), path.end(), path.knots().len()),
+                    (-0.34, paths.end(), 12)
+                );
+                for (knot, t) in path.times().iter().enumerate() {
+                    assert!((path.knots()[knot] - wavy(member, knot)).norm() <= rounding);
+                    for t in [t - 0.2, *t, t + 0.1] {
+                        assert!((paths.velocity(member, t) - path.velocity(t)).norm() < 1e-12);
+                    }
                 }
+                let (group, place) = (member / WIDTH, member % WIDTH);
+                assert_is(LaneWind::in_memory(&paths, group), place, &path);
             }
-            let (group, place) = (member / WIDTH, member % WIDTH);
-            assert_is(LaneWind::in_memory(&paths, group), place, &path);
         }
         let generator = generator()?;
         for sampling in [Sampling::Coarse, Sampling::Fine] {
@@ -633,7 +768,8 @@ mod tests {
         let paths = WindPaths::new(0.0, 0.5, [1, 9], |_, knot| Vec2::new(-(knot as f64), 2.0))?;
         let wind = LaneWind::in_memory(&paths, 0);
         for (t, knot) in [(0.1, 1.0), (0.5, 1.0), (0.6, 2.0), (3.9, 8.0), (4.0, 8.0)] {
-            assert_eq!(wind.view().max_speed(t).0[0], knot + 2.0);
+            let View::Double(view) = wind.view() else { unreachable!("the winds are in double") };
+            assert_eq!(view.max_speed(t).0[0], knot + 2.0);
         }
         let knots = vec![[Lanes::splat(1.0), Lanes::splat(-2.0)]; 4];
         let excess = [0.1, -0.2, 0.5].map(|e| [Lanes::splat(e), Lanes::splat(e)]);
