@@ -171,7 +171,7 @@ def test_law_does_not_jump_at_the_horizon() -> None:
     skill = {"lead_h": [0, 120], "r": [1, 0.5]}
     over = dc.HandOver([table(wind) for wind in forecasts], climate(), skill=skill)
     steps = 21 + 20
-    _, wind = over.sample(MEMBERS, steps, seed=6)
+    _, wind = over.sample(8 * MEMBERS, steps, seed=6)
     x = wind - mean_day(steps)
     spread = x.std(axis=0) / anomalies().std(axis=0)
     assert np.abs(spread - 1).max() < 0.08

@@ -34,15 +34,16 @@ use crate::lanes::{WIDTH, dispatch};
 const TABLED: usize = 2;
 /// Most of the last components, whose kernels are summed in the table of the bundles.
 const LATTICED: usize = 4;
-/// Narrowest spacing of the bundles' lattice, and how many of the columns' make one.
+/// Widest spacing of the lattice where there is room for its nodes, and where there is not: beyond,
+/// bounds are too loose.
 const SPACING: f64 = 0.9;
-/// Widest spacing: bounds are too loose beyond.
 const WIDEST: f64 = 2.0;
 /// Farthest components, in units of the kernel: single precision tells them to 10⁻⁴ of it.
 const FARTHEST: f64 = 1e3;
 /// Most numbers of each table.
 const MAX_TABLE: usize = 1 << 22;
-/// Columns of a bundle, as many times [`ABREAST`]; a column has [`ABREAST`] rows.
+/// Columns of a bundle, and how many times [`ABREAST`] they are; a column has [`ABREAST`] rows.
+const BUNDLE: usize = WIDE * ABREAST;
 const WIDE: usize = 2;
 /// Added to the binary logarithm of each sum: more than single precision can lack.
 const MARGIN: f64 = 5e-4 + ROUNDED as f64;
@@ -61,7 +62,7 @@ pub(super) struct Columns {
     unit: f64,
     /// The lattice in each of the last components.
     lattice: Vec<Axis>,
-    /// Registers of [`ABREAST`] bundles.
+    /// Bundles, as many times [`ABREAST`].
     registers: usize,
     /// Lowest and highest state of each bundle, in the components before the lattice's.
     bundle_boxes: Vec<[Abreast; 2]>,
@@ -97,6 +98,7 @@ impl Axis {
         Self { low: low as f32, spacing: spacing as f32, nodes: intervals as usize + 1 }
     }
 
+    /// Where a node is.
     fn at(&self, node: usize) -> f64 {
         f64::from(self.low) + f64::from(self.spacing) * node as f64
     }
@@ -183,13 +185,13 @@ impl Columns {
             return None;
         }
         let rows = states.len() / d;
-        let bundles = rows.div_ceil(WIDE * ABREAST * ABREAST);
+        let bundles = rows.div_ceil(BUNDLE * ABREAST);
         let registers = bundles.div_ceil(ABREAST);
-        let columns = registers * ABREAST * WIDE;
+        let columns = registers * ABREAST * BUNDLE;
         let lattice = Self::lattice(&states, d, registers)?;
         let nodes: usize =
             lattice[lattice.len() - TABLED..].iter().map(|axis| axis.nodes).product();
-        if nodes.checked_mul(columns * ABREAST)? > MAX_TABLE {
+        if nodes.checked_mul(columns)? > MAX_TABLE {
             return None;
         }
         let (boxed, beyond) = (d - TABLED, d - lattice.len());
@@ -200,14 +202,14 @@ impl Columns {
             registers,
             bundle_boxes: vec![empty; registers * beyond],
             bundle_sums: Vec::new(),
-            boxes: vec![empty; columns * boxed],
-            sums: vec![Abreast::splat(NOTHING as f32); nodes * columns],
+            boxes: vec![empty; columns / ABREAST * boxed],
+            sums: vec![Abreast::splat(NOTHING as f32); columns / ABREAST * nodes],
             // Spare places lie beyond everything.
-            states: vec![Abreast::splat(f32::INFINITY); columns * ABREAST * d],
-            rows: vec![0; columns * ABREAST * ABREAST],
+            states: vec![Abreast::splat(f32::INFINITY); columns * d],
+            rows: vec![0; columns * ABREAST],
             lattice,
         };
-        new.fill(0..bundles * WIDE * ABREAST, (0..rows as u32).collect(), &states);
+        new.fill(0..bundles * BUNDLE, (0..rows as u32).collect(), &states);
         new.sum_bundles();
         Some(new)
     }
@@ -238,8 +240,8 @@ impl Columns {
         let (d, boxed) = (self.dimension, self.dimension - TABLED);
         if range.len() > 1 {
             // Bundles are parted first, by the components that their boxes alone bound.
-            let bundles = range.len() > WIDE * ABREAST;
-            let unit = if bundles { WIDE * ABREAST } else { 1 };
+            let bundles = range.len() > BUNDLE;
+            let unit = if bundles { BUNDLE } else { 1 };
             let half = range.len() / unit / 2 * unit;
             let middle = rows.len() * half / range.len();
             let among = match (d - self.lattice.len(), boxed) {
@@ -263,18 +265,16 @@ impl Columns {
                 self.states[column * d + k][slot] = *value as f32;
             }
         }
-        let (register, place) = (column / ABREAST, column % ABREAST);
-        for (k, [low, high]) in self.boxes[register * boxed..][..boxed].iter_mut().enumerate() {
-            for value in rows.iter().map(|row| state(row)[k] as f32) {
-                (low[place], high[place]) = (low[place].min(value), high[place].max(value));
-            }
-        }
-        let (bundle, beyond) = (column / (WIDE * ABREAST), d - self.lattice.len());
-        let (register_of, at) = (bundle / ABREAST, bundle % ABREAST);
-        let boxes = &mut self.bundle_boxes[register_of * beyond..][..beyond];
-        for (k, [low, high]) in boxes.iter_mut().enumerate() {
-            for value in rows.iter().map(|row| state(row)[k] as f32) {
-                (low[at], high[at]) = (low[at].min(value), high[at].max(value));
+        let (boxed_alone, bundle) = (d - self.lattice.len(), column / BUNDLE);
+        for (boxes, boxed, at) in
+            [(&mut self.boxes, boxed, column), (&mut self.bundle_boxes, boxed_alone, bundle)]
+        {
+            let boxes = &mut boxes[at / ABREAST * boxed..][..boxed];
+            for (k, [low, high]) in boxes.iter_mut().enumerate() {
+                let (low, high) = (&mut low[at % ABREAST], &mut high[at % ABREAST]);
+                for value in rows.iter().map(|row| state(row)[k] as f32) {
+                    (*low, *high) = (low.min(value), high.max(value));
+                }
             }
         }
         // The kernel from each row to the nodes of both axes.
@@ -286,17 +286,17 @@ impl Columns {
             })
         });
         let kernels: Vec<_> = kernels.collect();
-        let (nodes, registers) = (self.tabled()[1].nodes, self.registers * ABREAST * WIDE);
+        let (nodes, registers) = (self.tabled()[1].nodes, self.registers * BUNDLE);
         for (node, sums) in self.sums.chunks_exact_mut(registers).enumerate() {
             let of = kernels.iter().map(|[a, b]| a[node / nodes] * b[node % nodes]);
             // What is lost below the least number is as good as nothing at the next nodes, too.
-            sums[register][place] = log2_above(of.sum());
+            sums[column / ABREAST][column % ABREAST] = log2_above(of.sum());
         }
     }
 
     /// Sums the bounds of each bundle's columns at the nodes of the lattice.
     fn sum_bundles(&mut self) {
-        let registers = self.registers * ABREAST * WIDE;
+        let registers = self.registers * BUNDLE;
         let first = &self.lattice[..self.lattice.len() - TABLED];
         let nodes = self.sums.chunks_exact(registers).map(|sums| {
             sums.iter().flat_map(|sums| sums.0).map(|sum| f64::from(sum).exp2()).collect()
@@ -321,8 +321,7 @@ impl Columns {
             }
             for sums in &nodes {
                 let mut bundles = vec![Abreast::splat(NOTHING as f32); self.registers];
-                let of =
-                    kernels.chunks_exact(WIDE * ABREAST).zip(sums.chunks_exact(WIDE * ABREAST));
+                let of = kernels.chunks_exact(BUNDLE).zip(sums.chunks_exact(BUNDLE));
                 for (bundle, (kernels, sums)) in of.enumerate() {
                     let bounds = kernels.iter().zip(sums).map(|(kernel, sum)| kernel * sum);
                     bundles[bundle / ABREAST][bundle % ABREAST] = log2_above(bounds.sum());
@@ -415,7 +414,7 @@ impl WithSimd for Weigh<'_> {
             let bounds = columns.of_columns(&Trial::of(bundle, 0), looks, d);
             all[1].extend(bounds.iter().flat_map(|of| of.0).map(power));
         }
-        for column in 0..columns.registers * ABREAST * WIDE * ABREAST {
+        for column in 0..columns.registers * ABREAST * BUNDLE {
             let weights = columns.of_rows(&Trial::of(column, 0), looks, d);
             all[2].extend(weights.0.map(power));
         }
@@ -658,7 +657,7 @@ impl Columns {
     #[inline(always)]
     fn of_columns(&self, trial: &Trial, looks: &Looks, d: usize) -> [Abreast; WIDE] {
         let (boxed, number, first) = (d - TABLED, trial.number, trial.slot * WIDE);
-        let registers = self.registers * ABREAST * WIDE;
+        let registers = self.registers * BUNDLE;
         let mut exponents = [Abreast::splat(looks.of_columns[number]); WIDE];
         for (node, share) in looks.nodes.iter().zip(&looks.shares) {
             let lines = &self.sums[node[number] as usize * registers + first..][..WIDE];
