@@ -123,7 +123,7 @@ impl Coast {
         if clearance.is_nan() {
             return Err(lost(t));
         }
-        // How fast the coast came nearer.
+        // How fast the coast came nearer in the stride before.
         let mut approach = reach.speed;
         while t < end {
             let safe = (clearance / reach.speed).max(RESOLUTION * period);
@@ -144,8 +144,7 @@ impl Coast {
                 }
                 return Ok(Some((crossing, piece.position(crossing)?)));
             }
-            // The bound is at least as large: never dividing by next to nothing.
-            approach = ((clearance - ahead) / (next - t)).max(-0.5 * reach.speed);
+            approach = ((clearance - ahead) / (next - t)).max(0.0);
             (t, clearance) = (next, ahead);
         }
         Ok(None)
@@ -191,6 +190,8 @@ fn within(segments: &RTree<Line<[f64; 2]>>, east: f64, [x, y]: [f64; 2]) -> bool
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+
     use super::*;
 
     fn square_with_lake() -> Result<Coast, DriftError> {
@@ -281,6 +282,87 @@ mod tests {
             let lost = circle.first_crossing(&Passage { offset }, 0.1);
             assert!(lost.is_err_and(|error| error.to_string().contains("state is not finite")));
         }
+        Ok(())
+    }
+
+    /// To and fro along a line, and on; how often it was asked.
+    struct Swing {
+        from: f64,
+        drift: f64,
+        size: f64,
+        phase: f64,
+        asked: Cell<usize>,
+    }
+
+    impl Swing {
+        const OMEGA: f64 = 7.0;
+
+        fn at(&self, t: f64) -> f64 {
+            self.from + self.drift * t + self.size * (Self::OMEGA * t + self.phase).sin()
+        }
+
+        fn speed(&self) -> f64 {
+            self.drift.abs() + self.size * Self::OMEGA
+        }
+    }
+
+    impl Piece for Swing {
+        fn span(&self) -> (f64, f64) {
+            (0.0, 2.0)
+        }
+        fn position(&self, t: f64) -> Result<Vec2, DriftError> {
+            self.asked.set(self.asked.get() + 1);
+            Ok(Vec2::new(self.at(t), 0.0))
+        }
+        fn velocity(&self, _: f64) -> Result<Vec2, DriftError> {
+            Ok(Vec2::zeros())
+        }
+        fn mean(&self, _: f64) -> Result<Option<(Vec2, Vec2)>, DriftError> {
+            Ok(None)
+        }
+        fn reach(&self) -> crate::model::Reach {
+            let center = Vec2::new(self.from, 0.0);
+            // Twice the speed that it has: bounds are of all that may add up.
+            crate::model::Reach { center, radius: 9.0, speed: 2.0 * self.speed() }
+        }
+    }
+
+    /// A fine scan finds no earlier contact, and strides are fewer than those that are safe whatever
+    /// comes.
+    #[test]
+    fn long_strides_jump_over_nothing() -> Result<(), DriftError> {
+        let circle = Coast::circle(Vec2::zeros(), 1.0, Side::Outside)?;
+        let (mut met, mut asked, mut plain) = (0, 0, 0);
+        for k in 0..300 {
+            let wave = |factor: f64| 0.5 + 0.5 * (factor * f64::from(k)).sin();
+            let size = 0.02 + 0.3 * wave(1.3);
+            let swing = Swing {
+                from: 1.01 + size + 0.3 * wave(0.7),
+                drift: -0.3 * wave(2.1),
+                size,
+                phase: 6.0 * wave(3.3),
+                asked: Cell::new(0),
+            };
+            let found = circle.first_crossing(&swing, 0.9)?;
+            let until = found.map_or(2.0, |(t, _)| t - 1e-9);
+            // A contact shorter than the resolution may be passed over.
+            let below = |t: f64| swing.at(t) <= 1.0 && swing.at(t + 0.9 * RESOLUTION) <= 1.0;
+            let scanned = (0..20_000).map(|n| 1e-4 * f64::from(n)).find(|t| below(*t));
+            assert!(scanned.is_none_or(|t| t > until - 1e-4), "{k}: {scanned:?} {found:?}");
+            if let Some((t, x)) = found {
+                met += 1;
+                assert!((swing.at(t) - 1.0).abs() < 1e-12 && (x.x - 1.0).abs() < 1e-12);
+                continue;
+            }
+            asked += swing.asked.get();
+            let mut t = 0.0;
+            while t < 2.0 {
+                t += ((swing.at(t) - 1.0) / (2.0 * swing.speed())).max(0.9 * RESOLUTION);
+                plain += 1;
+            }
+        }
+        assert!((50..250).contains(&met), "{met}");
+        assert!(asked < plain * 9 / 10, "{asked} {plain}");
         Ok(())
     }
 }
