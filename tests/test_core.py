@@ -195,6 +195,9 @@ def test_patterns_and_paths_are_of_what_is_asked_for() -> None:
         _core.FieldWinds(axes, np.zeros((1, 1, 2, 3)), (0.0, 1.0), 0, np.zeros((1, 2, 2)))
     with pytest.raises(ValueError, match=r"wind patterns: .* two components each"):
         _core.FieldWinds(axes, np.zeros((1, 1, 2, 2)), (0.0, 1.0), 0, np.zeros((1, 2, 3)))
+    for dtype in (np.float64, np.float32):
+        with pytest.raises(ValueError, match=r"velocity: shape \(4, 2, 1\) .* two components"):
+            _core.WindPaths(0.0, 1.0, np.zeros((4, 2, 1), dtype))
     paths = _core.WindPaths(0.0, 1.0, np.zeros((4, 2, 2)))
     assert paths.velocity(4, np.array([0.5])).shape == (4, 1, 2)
     with pytest.raises(ValueError, match="members: 5 is not accepted; there are fewer"):
