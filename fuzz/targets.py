@@ -858,6 +858,12 @@ def core_generator(rng: Random, step: Any) -> Any:
     )
 
 
+def either_precision(rng: Random, values: Any) -> Any:
+    """Give numbers of double precision in single, a third of the times."""
+    single = getattr(values, "dtype", 0) == "f8" and rng.randrange(3) == 0
+    return values.astype("f4") if single else values
+
+
 def core_path(rng: Random) -> Any:
     """Make a wind path that covers a run, most often."""
     knots = rng.choice([2, 5, 30])
@@ -891,8 +897,7 @@ def core_winds(rng: Random, step: Any) -> Any:
     if kind == 2:
         return [core_path(rng) for _ in range(rng.choice([0, 1, *[members] * 8]))]
     if kind == 3:
-        values = array(rng, (members, 20, 2))
-        values = values.astype("f4") if values.dtype == "f8" and rng.randrange(3) == 0 else values
+        values = either_precision(rng, array(rng, (members, 20, 2)))
         return _core.WindPaths(real(rng, -1), real(rng, 0.3), values)
     if kind == 4:
         return core_generator(rng, step), count(rng, 7), core_particles(rng, members)
@@ -959,8 +964,8 @@ def run_core(seed: int) -> None:
     elif kind == 5:
         core_solver(rng).wind_needed(real(rng, 1), real(rng, 0.02))
     elif kind == 6:
-        values = array(rng, (rng.choice([1, 9]), 20, rng.choice([2, 2, 2, 1, 3])))
-        values = values.astype("f4") if values.dtype == "f8" and rng.randrange(3) == 0 else values
+        shape = (rng.choice([1, 9]), 20, rng.choice([2, 2, 2, 1, 3]))
+        values = either_precision(rng, array(rng, shape))
         _core.WindPaths(real(rng, -1), real(rng, 0.3), values).velocity(
             count(rng, 1), times_array(rng)
         )
