@@ -253,6 +253,11 @@ def in_memory(effort: Effort) -> list[list[str]]:
         members = max(few, effort.paper * 50 // tides)
         how: dict[str, Any] = {"model": "full", "threads": 1, "steps_per_tide": 8}
         call = partial(dc.forecast, scenario, keep=0, **how)
+        times = regular_times(1.0, scenario.epsilon)
+        exact = [
+            dc.trajectory(scenario, path, model="full", times=times, rtol=1e-12).position.values
+            for path in paths[: effort.rounds * 2]
+        ]
         for precision, dtype in (("double", np.float64), ("single", np.float32)):
             known = velocity.astype(dtype)
             tiled = np.tile(known, (-(-members // few), 1, 1))[:members]
@@ -262,17 +267,8 @@ def in_memory(effort: Effort) -> list[list[str]]:
             del tiled
             cost = [cpu(partial(call, winds), effort.repeats) for winds in (many, first)]
             rate = (members - WIDTH) / (cost[0] - cost[1])
-            times = regular_times(1.0, scenario.epsilon)
-            found = dc.forecast(scenario, all_few, times=times, **how)
-            error = max(
-                np.abs(
-                    found.dataset["position"].values[k]
-                    - dc.trajectory(
-                        scenario, path, model="full", times=times, rtol=1e-12
-                    ).position.values
-                ).max()
-                for k, path in enumerate(paths[: effort.rounds * 2])
-            )
+            found = dc.forecast(scenario, all_few, times=times, **how).dataset["position"].values
+            error = max(np.abs(f - e).max() for f, e in zip(found, exact, strict=False))
             rows.append(
                 [f"1/{tides}", precision, f"{rate:,.0f}", f"{1e6 / rate:.1f}", f"{error:.1e}"]
             )

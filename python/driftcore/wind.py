@@ -481,7 +481,7 @@ class WindPaths:
         Knots, equally spaced, at least 2 [the scenario's time unit].
     velocity : array_like, shape (members, k, 2)
         Velocity toward x and y at the knots [the scenario's velocity unit]. An array of single
-        precision is kept as it is: it takes half the memory, and about half the time where many
+        precision is kept as it is: it takes half the memory, and two thirds of the time where many
         members' winds have to be fetched.
 
     Raises

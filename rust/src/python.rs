@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nalgebra::Matrix2;
-use numpy::ndarray::ArrayView3;
 use numpy::{
     Complex64, Element, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods,
     PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArray4, PyReadwriteArray1,
@@ -59,17 +58,22 @@ fn points(name: &'static str, array: &PyReadonlyArray2<f64>) -> Result<Vec<Vec2>
     Ok(array.as_array().rows().into_iter().map(|row| Vec2::new(row[0], row[1])).collect())
 }
 
-/// Members and knots of winds of either precision, and the winds.
-fn members_of<'a, T: Element>(
-    velocity: &'a PyReadonlyArray3<T>,
-) -> Result<([usize; 2], ArrayView3<'a, T>), DriftError> {
-    let values = velocity.as_array();
-    let (members, knots, components) = values.dim();
+/// Members and knots of winds of either precision.
+fn members_of<T: Element>(velocity: &PyReadonlyArray3<T>) -> Result<[usize; 2], DriftError> {
+    let (members, knots, components) = velocity.as_array().dim();
     if components != 2 {
         let given = format!("shape ({members}, {knots}, {components})");
         return Err(DriftError::invalid("wind paths' velocity", given, "it needs two components"));
     }
-    Ok(([members, knots], values))
+    Ok([members, knots])
+}
+
+/// Wind of a member at a knot.
+fn winds_of<T: Element + Copy + Into<f64>>(
+    velocity: &PyReadonlyArray3<T>,
+) -> impl Fn(usize, usize) -> Vec2 {
+    let values = velocity.as_array();
+    move |member, knot| [0, 1].map(|k| values[[member, knot, k]].into()).into()
 }
 
 fn flat(array: &PyReadonlyArray2<f64>) -> Vec<f64> {
@@ -180,13 +184,11 @@ impl WindPaths {
     fn new(py: Python, start: f64, spacing: f64, velocity: Velocity) -> PyResult<Self> {
         let paths = match velocity {
             Velocity::Double(velocity) => {
-                let (shape, values) = members_of(&velocity)?;
-                let at = |member, knot| [0, 1].map(|k| values[[member, knot, k]]).into();
+                let (shape, at) = (members_of(&velocity)?, winds_of(&velocity));
                 py.detach(|| CorePaths::new(start, spacing, shape, at))
             }
             Velocity::Single(velocity) => {
-                let (shape, values) = members_of(&velocity)?;
-                let at = |member, knot| [0, 1].map(|k| f64::from(values[[member, knot, k]])).into();
+                let (shape, at) = (members_of(&velocity)?, winds_of(&velocity));
                 py.detach(|| CorePaths::single(start, spacing, shape, at))
             }
         };

@@ -218,7 +218,12 @@ pub(super) fn slow_start(problem: Problem) -> Result<Vec2, DriftError> {
 impl MeanFlowPiece<'_> {
     fn slow(&self, t: f64) -> (Vec2, Vec2) {
         let (single, double) = self.flow.wind.at(t);
-        (self.step.state(t) + double * self.flow.problem.drag, single)
+        (self.blown(t, double), single)
+    }
+
+    /// Slow position where `∬W` is known.
+    fn blown(&self, t: f64, double: Vec2) -> Vec2 {
+        self.step.state(t) + double * self.flow.problem.drag
     }
 }
 
@@ -228,10 +233,9 @@ impl Piece for MeanFlowPiece<'_> {
     }
 
     fn position(&self, t: f64) -> Result<Vec2, DriftError> {
-        let Problem { sea, drag, .. } = self.flow.problem;
         if self.flow.order == 1 {
-            let y = self.step.state(t) + self.flow.wind.double(t) * drag;
-            return Ok(y + sea.excursion(t, y)?);
+            let y = self.blown(t, self.flow.wind.double(t));
+            return Ok(y + self.flow.problem.sea.excursion(t, y)?);
         }
         let (y, single) = self.slow(t);
         let (expansion, _) = self.flow.expansion(t, y, single)?;

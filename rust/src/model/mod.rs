@@ -65,14 +65,17 @@ impl<'a> WindIntegrals<'a> {
 
     fn at(&self, t: f64) -> (Vec2, Vec2) {
         let (single, double) = self.path.integrals(t);
-        let (single0, double0) = self.at_release;
-        (single - single0, double - double0 - single0 * t)
+        (single - self.at_release.0, self.since_release(t, double))
     }
 
     /// The second of them alone.
     fn double(&self, t: f64) -> Vec2 {
+        self.since_release(t, self.path.double_integral(t))
+    }
+
+    fn since_release(&self, t: f64, double: Vec2) -> Vec2 {
         let (single0, double0) = self.at_release;
-        self.path.double_integral(t) - double0 - single0 * t
+        double - double0 - single0 * t
     }
 
     /// Bounds, over `h` from `t`, of the change of `∫S` and of `|S|`.

@@ -243,6 +243,7 @@ impl Bootstrap {
         state
     }
 
+    /// Whitens states.
     fn whiten(&self, states: &States, scratch: &mut Scratch) {
         let d = self.dimension();
         scratch.whitened.resize(d, [0.0; WIDTH]);

@@ -390,6 +390,22 @@ struct Looks {
     upto: Each<Abreast>,
 }
 
+impl Looks {
+    /// Numbers less the squared distances of a state from boxes in its first components.
+    #[inline(always)]
+    fn less_distance2(
+        &self,
+        mut numbers: Abreast,
+        boxes: &[[Abreast; 2]],
+        number: usize,
+    ) -> Abreast {
+        for (of, place) in boxes.iter().zip(&self.place) {
+            numbers = less_distance2(numbers, &[*of], &[place[number]]);
+        }
+        numbers
+    }
+}
+
 /// Works out all bounds at a state.
 struct Weigh<'a> {
     columns: &'a Columns,
@@ -406,16 +422,16 @@ impl WithSimd for Weigh<'_> {
         let (d, scratch) = (columns.dimension, &mut Scratch::default());
         columns.look_up(simd, &states, &[0], d, scratch);
         let Scratch { sums, looks } = scratch;
-        let mut all = [vec![], vec![], vec![]];
+        let (first, mut all) = (Trial::default(), [vec![], vec![], vec![]]);
         for pair in sums[..=columns.registers].windows(2) {
             all[0].extend((0..ABREAST).map(|k| pair[1][k] - pair[0][k]));
         }
         for bundle in 0..columns.registers * ABREAST {
-            let bounds = columns.of_columns(&Trial::of(bundle, 0), looks, d);
+            let bounds = columns.of_columns(&Trial { slot: bundle, ..first }, looks, d);
             all[1].extend(bounds.iter().flat_map(|of| of.0).map(power));
         }
         for column in 0..columns.registers * ABREAST * BUNDLE {
-            let weights = columns.of_rows(&Trial::of(column, 0), looks, d);
+            let weights = columns.of_rows(&Trial { slot: column, ..first }, looks, d);
             all[2].extend(weights.0.map(power));
         }
         all
@@ -525,11 +541,6 @@ struct Trial {
 }
 
 impl Trial {
-    #[inline(always)]
-    fn of(slot: usize, number: usize) -> Self {
-        Self { number, slot, left: 0.0 }
-    }
-
     /// 24 random bits choose the bundle, the other 40 the column and the row.
     #[inline(always)]
     fn begin<S: Simd>(simd: S, number: usize, sums: &[Abreast], looks: &Looks, bits: u64) -> Self {
@@ -643,9 +654,7 @@ impl Columns {
                     log2 = Abreast::of(|k| line[k].mul_add(share[number], log2[k]));
                 }
                 let boxes = &self.bundle_boxes[register * (d - K)..][..d - K];
-                for (of, place) in boxes.iter().zip(&looks.place) {
-                    log2 = less_distance2(log2, &[*of], &[place[number]]);
-                }
+                log2 = looks.less_distance2(log2, boxes, number);
                 totals = Abreast::of(|k| totals[k] + power(log2[k]));
                 sums[register + 1] = totals;
             }
@@ -667,9 +676,7 @@ impl Columns {
         }
         let boxes = &self.boxes[first * boxed..][..WIDE * boxed];
         for (n, exponents) in exponents.iter_mut().enumerate() {
-            for (of, place) in boxes[n * boxed..][..boxed].iter().zip(&looks.place) {
-                *exponents = less_distance2(*exponents, &[*of], &[place[number]]);
-            }
+            *exponents = looks.less_distance2(*exponents, &boxes[n * boxed..][..boxed], number);
         }
         exponents
     }
