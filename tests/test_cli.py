@@ -329,7 +329,9 @@ def test_check_estimates_the_cost(driftcore: Command) -> None:
     estimate = json.loads(driftcore("check", write(many), "--json").out)["estimate"]
     # Of each member: its status, two positions and two times.
     assert estimate["megabytes"] == pytest.approx(60 * 57, rel=0.2)
-    assert estimate["seconds"] > 1000 * few["estimate"]["seconds"]
+    following = [of["seconds"] - of["preparation_s"] for of in (few["estimate"], estimate)]
+    assert following[1] > 1000 * following[0]
+    assert following[1] == pytest.approx(60_000_000 / estimate["members_per_second"])
 
 
 def test_check_of_the_paper_and_of_a_wind_out_of_season(driftcore: Command) -> None:

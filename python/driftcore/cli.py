@@ -89,8 +89,9 @@ Coast = Annotated[
 ]
 ForecastFile = Annotated[Path, typer.Argument(metavar="FORECAST", help="Forecast (.nc or .zarr).")]
 
-# Members followed to estimate what all of them cost.
-_FEW, _MORE = 32, 256
+# Members followed to estimate what all of them cost: a few, which makes everything ready; then more
+# and more, until following them takes long enough [s] to be measured.
+_FEW, _TIMES_MORE, _LONG_ENOUGH = 32, 8, 0.25
 # The coast of the package, as scenario files call it.
 _LAND = "natural-earth"
 # Stretches of coast shown.
@@ -276,21 +277,25 @@ def check(
         with err.status("reading, fitting the wind, following a few members"):
             start = perf_counter()
             follow = planned(configuration, scenario.parent.resolve())
-            times, sizes = [perf_counter() - start], []
+            reading = perf_counter() - start
             follow = partial(follow, precision=None, threads=threads)
             if wanted.members == "auto":
                 # As far as a few tell.
-                p = follow(members=_MORE, keep=0).stranding_probability()
+                p = follow(members=_FEW * _TIMES_MORE, keep=0).stranding_probability()
                 precision = wanted.precision or PRECISION
                 whole = max(FIRST_LOOK, members_needed((p.low + p.high) / 2, precision))
             else:
                 whole = wanted.members
-            numbers = (min(_FEW, whole), min(_MORE, whole))
-            for members in numbers:
+            numbers: list[int] = []
+            times: list[float] = []
+            sizes: list[int] = []
+            while len(times) < 2 or (times[-1] < _LONG_ENOUGH and numbers[-1] < whole):
+                members = min(whole, _FEW * _TIMES_MORE ** len(numbers))
                 start = perf_counter()
                 keep = round(members * min(1, wanted.keep / whole))
                 forecast = follow(members=members, keep=keep)
                 times.append(perf_counter() - start)
+                numbers.append(members)
                 sizes.append(forecast.dataset.nbytes)
             if picture is not None:
                 from driftcore.drawing import save_figures
@@ -304,18 +309,17 @@ def check(
     if isinstance(configuration, GeographicConfiguration):
         told += configuration.doubts()
     told = list(dict.fromkeys(told))
-    reading, few, more = times
-    between = max(1, numbers[1] - numbers[0])
-    each, size = max(0.0, more - few) / between, (sizes[1] - sizes[0]) / between
-    rest = whole - numbers[1]
-    seconds = reading + more + each * rest
-    megabytes = (sizes[1] + size * rest) / 1e6
+    each = times[-1] / numbers[-1]
+    size = (sizes[-1] - sizes[0]) / max(1, numbers[-1] - numbers[0])
+    preparation = reading + max(0.0, times[0] - each * numbers[0])
+    seconds = preparation + each * whole
+    megabytes = (sizes[-1] + size * (whole - numbers[-1])) / 1e6
     estimate = {
         "members": whole,
         "threads": threads or default_threads(),
-        "preparation_s": reading + max(0.0, few - each * numbers[0]),
+        "preparation_s": preparation,
         "seconds": seconds,
-        "members_per_second": 1 / each if each else None,
+        "members_per_second": 1 / each,
         "megabytes": megabytes,
     }
     if as_json:
