@@ -6,10 +6,17 @@
 //!
 //! [`dispatch`]: crate::lanes::dispatch
 
+#[cfg(target_arch = "x86_64")]
+use std::any::Any;
+#[cfg(target_arch = "x86_64")]
+use std::arch::x86_64::{__m256, __m256i};
+use std::f32::consts::LN_2;
 use std::ops::{Index, IndexMut};
 
 use pulp::Simd;
-use pulp::bytemuck::cast;
+use pulp::bytemuck::{cast, cast_slice_mut};
+#[cfg(target_arch = "x86_64")]
+use pulp::x86::V3;
 
 use crate::lanes::WIDTH;
 
@@ -70,31 +77,69 @@ impl Abreast {
     /// Sums of the numbers up to each place, by doubling: of the last two, four, eight, all.
     #[inline(always)]
     pub(super) fn running<S: Simd>(self, simd: S) -> Self {
-        if !in_one_register::<S>() {
-            return [1, 2, 4, 8].into_iter().fold(self, |sums, step| {
-                Self::of(|k| if k < step { sums[k] } else { sums[k] + sums[k - step] })
-            });
+        if in_one_register::<S>() {
+            let places: S::f32s = cast(PLACES);
+            let mut sums: S::f32s = cast(self.0);
+            for step in [1, 2, 4, 8] {
+                let there = simd.greater_than_or_equal_f32s(places, simd.splat_f32s(step as f32));
+                let before = simd.rotate_right_f32s(sums, step);
+                sums = simd.add_f32s(sums, simd.select_f32s(there, before, simd.splat_f32s(0.0)));
+            }
+            return Self(cast(sums));
         }
-        let places: S::f32s = cast(PLACES);
-        let mut sums: S::f32s = cast(self.0);
+        #[cfg(target_arch = "x86_64")]
+        if let Some(simd) = two_registers(simd) {
+            return Self(cast(running_in_two(simd, cast(self.0))));
+        }
+        let mut sums = self;
         for step in [1, 2, 4, 8] {
-            let there = simd.greater_than_or_equal_f32s(places, simd.splat_f32s(step as f32));
-            let before = simd.rotate_right_f32s(sums, step);
-            sums = simd.add_f32s(sums, simd.select_f32s(there, before, simd.splat_f32s(0.0)));
+            for place in (step..ABREAST).rev() {
+                sums[place] += sums[place - step];
+            }
         }
-        Self(cast(sums))
+        sums
+    }
+
+    /// `2^t` of each `t < 127`, up to 3·10⁻⁷ of it; 0 for `t < −126`.
+    #[inline(always)]
+    pub(super) fn power<S: Simd>(mut self, simd: S) -> Self {
+        const COEFFICIENTS: [f32; 6] =
+            [1.340_043_3e-3, 9.676_037e-3, 5.550_327e-2, 2.402_210_7e-1, LN_2, 1.0];
+        let least = simd.splat_f32s(-126.0);
+        for t in cast_slice_mut::<f32, S::f32s>(&mut self.0) {
+            let power = power(simd, simd.max_f32s(*t, least), &COEFFICIENTS);
+            *t = simd.select_f32s(simd.less_than_f32s(*t, least), simd.splat_f32s(0.0), power);
+        }
+        self
+    }
+
+    /// Numbers above `2^t`, for `t < 127`, by at most 0.35 %; for `t < −126` those of −126.
+    #[inline(always)]
+    pub(super) fn power_just_above<S: Simd>(mut self, simd: S) -> Self {
+        const COEFFICIENTS: [f32; 3] = [0.238_840_9, 0.704_663_4, 1.002_172];
+        for t in cast_slice_mut::<f32, S::f32s>(&mut self.0) {
+            *t = power(simd, simd.max_f32s(*t, simd.splat_f32s(-126.0)), &COEFFICIENTS);
+        }
+        self
     }
 
     /// Place of the first number above another one; [`ABREAST`] if there is none.
     #[inline(always)]
     pub(super) fn first_above<S: Simd>(&self, simd: S, other: f32) -> usize {
-        if !in_one_register::<S>() {
-            let places = self.0.iter().zip(0..);
-            let above = places.map(|(number, k)| if *number > other { k } else { ABREAST as i32 });
-            return above.fold(ABREAST as i32, i32::min) as usize;
+        if in_one_register::<S>() {
+            let above = simd.greater_than_f32s(cast(self.0), simd.splat_f32s(other));
+            return cast::<_, u16>(above).trailing_zeros() as usize;
         }
-        let above = simd.greater_than_f32s(cast(self.0), simd.splat_f32s(other));
-        cast::<_, u16>(above).trailing_zeros() as usize
+        #[cfg(target_arch = "x86_64")]
+        if let Some(simd) = two_registers(simd) {
+            let (other, [first, last]) = (simd.splat_f32x8(other), cast(self.0));
+            let above =
+                |numbers| simd.avx._mm256_movemask_ps(cast(simd.cmp_gt_f32x8(numbers, other)));
+            let (first, last) = (above(first), above(last) | 1 << (ABREAST / 2));
+            let past = (ABREAST / 2) as u32 + last.trailing_zeros();
+            return if first == 0 { past } else { first.trailing_zeros() } as usize;
+        }
+        self.0.iter().position(|number| *number > other).unwrap_or(ABREAST)
     }
 }
 
@@ -103,6 +148,33 @@ impl Abreast {
 #[inline(always)]
 fn in_one_register<S: Simd>() -> bool {
     S::F32_LANES == ABREAST && size_of::<S::m32s>() == size_of::<u16>()
+}
+
+/// The instruction set that takes half of the places at once, if it is that one.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn two_registers<S: Simd>(simd: S) -> Option<V3> {
+    (&simd as &dyn Any).downcast_ref().copied()
+}
+
+/// [`Abreast::running`].
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn running_in_two(simd: V3, [mut first, mut last]: [__m256; 2]) -> [__m256; 2] {
+    let add = |a, b: __m256i| simd.avx._mm256_add_ps(a, cast(b));
+    for step in [1, 2, 4] {
+        // The four places before each four.
+        let [a, b]: [__m256i; 2] = [cast(first), cast(last)];
+        let before_first = simd.avx2._mm256_permute2x128_si256::<0x08>(a, a);
+        let before_last = simd.avx2._mm256_permute2x128_si256::<0x21>(a, b);
+        let before = [(a, before_first), (b, before_last)].map(|(of, before)| match step {
+            1 => simd.avx2._mm256_alignr_epi8::<12>(of, before),
+            2 => simd.avx2._mm256_alignr_epi8::<8>(of, before),
+            _ => before,
+        });
+        (first, last) = (add(first, before[0]), add(last, before[1]));
+    }
+    [first, add(last, cast(first))]
 }
 
 const PLACES: [f32; ABREAST] =
@@ -198,27 +270,30 @@ pub(super) fn chord(t: f32) -> f32 {
 /// [`power_above`] is no more than so many times `2^t`.
 pub(super) const LOOSEST: f64 = 1.064;
 
-/// `2^t` for `t < 127`, up to 3·10⁻⁷ of it; 0 for `t < −126`.
+/// [`Abreast::power_just_above`] is no more than so many times the power.
+pub(super) const LOOSE: f64 = 1.0035;
+
+/// `2^t` of `t` from −126 to 127, as a polynomial of what `t` is above the nearest integer.
 #[inline(always)]
-pub(super) fn power(t: f32) -> f32 {
-    /// Added to a number, it leaves the nearest integer in the last bits.
+fn power<S: Simd>(simd: S, t: S::f32s, coefficients: &[f32]) -> S::f32s {
+    // A number whose last bits are the integer nearest to `t`.
     const ROUNDING: f32 = 12_582_912.0;
-    let within = greater(t, -126.0);
-    let whole = within + ROUNDING;
-    let rest = within - (whole - ROUNDING);
-    let power = 1.340_043_3e-3_f32
-        .mul_add(rest, 9.676_037e-3)
-        .mul_add(rest, 5.550_327e-2)
-        .mul_add(rest, 2.402_210_7e-1)
-        .mul_add(rest, std::f32::consts::LN_2)
-        .mul_add(rest, 1.0);
-    let exponent = (whole.to_bits() << 23).wrapping_add(1.0_f32.to_bits());
-    if t < -126.0 { 0.0 } else { power * f32::from_bits(exponent) }
+    let whole = simd.add_f32s(t, simd.splat_f32s(ROUNDING));
+    let rest = simd.sub_f32s(t, simd.sub_f32s(whole, simd.splat_f32s(ROUNDING)));
+    let mut power = simd.splat_f32s(coefficients[0]);
+    for coefficient in &coefficients[1..] {
+        power = simd.mul_add_f32s(power, rest, simd.splat_f32s(*coefficient));
+    }
+    let doublings = simd.wrapping_dyn_shl_u32s(cast(whole), simd.splat_u32s(23));
+    cast(simd.add_u32s(cast(power), doublings))
 }
 
 #[cfg(test)]
 mod tests {
+    use pulp::{Scalar, WithSimd};
+
     use super::*;
+    use crate::lanes::dispatch;
 
     #[test]
     fn power_above_is_a_close_bound() {
@@ -229,22 +304,50 @@ mod tests {
         }
     }
 
+    /// What a kernel gives with every instruction set that this processor has.
+    fn of_all_sets<K: WithSimd + Clone>(kernel: &K) -> Vec<K::Output> {
+        let mut all = vec![dispatch(kernel.clone()), kernel.clone().with_simd(Scalar::new())];
+        #[cfg(target_arch = "x86_64")]
+        all.extend(V3::try_new().map(|simd| Simd::vectorize(simd, kernel.clone())));
+        all
+    }
+
+    #[derive(Clone)]
+    struct Powers(Abreast);
+
+    impl WithSimd for Powers {
+        type Output = [Abreast; 2];
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+            [self.0.power(simd), self.0.power_just_above(simd)]
+        }
+    }
+
     #[test]
-    fn power_is_the_power() {
-        for k in 0..1_330_000 {
-            let t = 7.0 - 1e-4 * k as f32;
-            let (exact, power) = (f64::from(t).exp2(), f64::from(power(t)));
-            if t < -126.0 {
-                assert_eq!(power, 0.0);
-            } else {
-                assert!((power / exact - 1.0).abs() < 3e-7, "{t}: {power} {exact}");
+    fn powers_are_the_power_and_a_closer_bound() {
+        for first in (0..1_330_000).step_by(ABREAST) {
+            let exponents = Abreast::of(|k| 7.0 - 1e-4 * (first + k) as f32);
+            let all = of_all_sets(&Powers(exponents));
+            assert!(all.iter().all(|powers| *powers == all[0]), "{exponents:?}");
+            for (k, t) in exponents.0.into_iter().enumerate() {
+                let exact = f64::from(t).exp2();
+                let [power, above] = all[0].map(|of| f64::from(of[k]));
+                assert!(exact <= above, "{t}: {exact} {above}");
+                if t < -126.0 {
+                    assert_eq!(power, 0.0);
+                } else {
+                    assert!((power / exact - 1.0).abs() < 3e-7, "{t}: {power} {exact}");
+                    assert!(above <= LOOSE * exact, "{t}: {exact} {above}");
+                }
             }
         }
     }
 
+    #[derive(Clone)]
     struct Sums(Abreast, f32);
 
-    impl pulp::WithSimd for Sums {
+    impl WithSimd for Sums {
         type Output = (Abreast, usize);
 
         #[inline(always)]
@@ -257,16 +360,19 @@ mod tests {
     #[test]
     fn sums_run_and_are_searched() {
         let numbers = Abreast::of(|k| k as f32);
-        for (other, first) in [(-1.0, 0), (0.0, 1), (2.9, 2), (3.0, 3), (119.0, 15), (120.0, 16)] {
-            let wide = crate::lanes::dispatch(Sums(numbers, other));
-            let narrow = pulp::WithSimd::with_simd(Sums(numbers, other), pulp::Scalar::new());
-            assert_eq!(wide, narrow);
-            assert!((0..ABREAST).all(|k| wide.0[k] == (k * (k + 1) / 2) as f32));
-            assert_eq!(wide.1, first);
+        let places = (0..=ABREAST).flat_map(|place| {
+            let sum = (place * (place + 1) / 2) as f32;
+            [(sum - 0.5, place), (sum, place + 1)]
+        });
+        for (other, first) in places {
+            for (sums, found) in of_all_sets(&Sums(numbers, other)) {
+                assert!((0..ABREAST).all(|k| sums[k] == (k * (k + 1) / 2) as f32));
+                assert_eq!(found, first.min(ABREAST));
+            }
         }
         // Each instruction set rounds alike.
         let numbers = Abreast::of(|k| (0.7 * k as f32).sin().exp());
-        let wide = crate::lanes::dispatch(Sums(numbers, 0.0));
-        assert_eq!(wide, pulp::WithSimd::with_simd(Sums(numbers, 0.0), pulp::Scalar::new()));
+        let all = of_all_sets(&Sums(numbers, 0.0));
+        assert!(all.iter().all(|sums| *sums == all[0]));
     }
 }

@@ -25,8 +25,8 @@ use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
 use super::abreast::{
-    ABREAST, Abreast, Each, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, ROUNDED, State, States, each,
-    greater, less_distance2, lesser, part, power,
+    ABREAST, Abreast, Each, LEAST_TOTAL, LOOSE, MAX_DIMENSION, MAX_TRIALS, State, States, each,
+    greater, less_distance2, lesser, part,
 };
 use crate::lanes::{WIDTH, dispatch};
 
@@ -46,7 +46,7 @@ const MAX_TABLE: usize = 1 << 22;
 const BUNDLE: usize = WIDE * ABREAST;
 const WIDE: usize = 2;
 /// Added to the binary logarithm of each sum: more than single precision can lack.
-const MARGIN: f64 = 5e-4 + ROUNDED as f64;
+const MARGIN: f64 = 5e-4;
 /// Binary logarithm of what is as good as nothing.
 const NOTHING: f64 = -1e4;
 /// What a draw costs, and what a trial of it costs [ns], about.
@@ -324,7 +324,8 @@ impl Columns {
                 let of = kernels.chunks_exact(BUNDLE).zip(sums.chunks_exact(BUNDLE));
                 for (bundle, (kernels, sums)) in of.enumerate() {
                     let bounds = kernels.iter().zip(sums).map(|(kernel, sum)| kernel * sum);
-                    bundles[bundle / ABREAST][bundle % ABREAST] = log2_above(bounds.sum());
+                    bundles[bundle / ABREAST][bundle % ABREAST] =
+                        log2_above(LOOSE * bounds.sum::<f64>());
                 }
                 self.bundle_sums.extend(bundles);
             }
@@ -428,11 +429,11 @@ impl WithSimd for Weigh<'_> {
         }
         for bundle in 0..columns.registers * ABREAST {
             let bounds = columns.of_columns(&Trial { slot: bundle, ..first }, looks, d);
-            all[1].extend(bounds.iter().flat_map(|of| of.0).map(power));
+            all[1].extend(bounds.into_iter().flat_map(|of| of.power_just_above(simd).0));
         }
         for column in 0..columns.registers * ABREAST * BUNDLE {
             let weights = columns.of_rows(&Trial { slot: column, ..first }, looks, d);
-            all[2].extend(weights.0.map(power));
+            all[2].extend(weights.power(simd).0);
         }
         all
     }
@@ -490,10 +491,8 @@ impl<R: Rng> Draw<'_, R> {
             for (trial, exponents) in trials[..count].iter().zip(&mut of_columns) {
                 *exponents = columns.of_columns(trial, looks, d);
             }
-            for weights in &mut of_columns[..count] {
-                for weights in weights {
-                    *weights = Abreast::of(|k| power(weights[k]));
-                }
+            for bounds in of_columns[..count].as_flattened_mut() {
+                *bounds = bounds.power_just_above(simd);
             }
             let mut left = 0;
             for at in 0..count {
@@ -508,7 +507,7 @@ impl<R: Rng> Draw<'_, R> {
                 *exponents = columns.of_rows(trial, looks, d);
             }
             for weights in &mut of_rows[..left] {
-                *weights = Abreast::of(|k| power(weights[k]));
+                *weights = weights.power(simd);
             }
             let mut again = 0;
             for at in 0..count {
@@ -549,7 +548,10 @@ impl Trial {
         let at = share * upto[ABREAST - 1];
         let place = upto.first_above(simd, at).min(ABREAST - 1);
         let inside = at - (upto[place] - sums[last + 1][place]);
-        let register = sums[1..].partition_point(|sum| sum[place] <= inside).min(last);
+        let mut register = 0;
+        while register < last && sums[register + 1][place] <= inside {
+            register += 1;
+        }
         let left = (bits & 0xff_ffff_ffff) as f32 / (1_u64 << 40) as f32;
         // What the bundle was drawn with, rounding included.
         let bound = sums[register + 1][place] - sums[register][place];
@@ -568,11 +570,13 @@ impl Trial {
         let place = found.min(ABREAST - 1);
         let mut left = greater(self.left - (upto[place] - sum[place]), 0.0);
         let mut depth = 0;
-        let mut beyond = true;
+        // All bits, once it is found: to go on either way would be guessed wrong half the time.
+        let mut here = 0;
         for weights in &weights[..N - 1] {
-            beyond &= left >= weights[place];
-            left -= if beyond { weights[place] } else { 0.0 };
-            depth += usize::from(beyond);
+            let rest = left - weights[place];
+            here |= ((rest.to_bits() as i32) >> 31) as u32;
+            left = f32::from_bits(left.to_bits() & here | rest.to_bits() & !here);
+            depth += (!here & 1) as usize;
         }
         self.left = left;
         self.slot = (self.slot * N + depth) * ABREAST + place;
@@ -655,7 +659,8 @@ impl Columns {
                 }
                 let boxes = &self.bundle_boxes[register * (d - K)..][..d - K];
                 log2 = looks.less_distance2(log2, boxes, number);
-                totals = Abreast::of(|k| totals[k] + power(log2[k]));
+                let bounds = log2.power_just_above(simd);
+                totals = Abreast::of(|k| totals[k] + bounds[k]);
                 sums[register + 1] = totals;
             }
             looks.upto[number] = totals.running(simd);
