@@ -1,8 +1,9 @@
 //! What draws of catalogue rows share: states, and single-precision numbers of several rows, leaves or
 //! columns, side by side.
 //!
-//! Plain loops that the compiler turns into vector instructions, within [`dispatch`]; each
-//! operation is rounded once, so that every instruction set gives the same bits.
+//! Plain loops that the compiler turns into vector instructions, within [`dispatch`], and those
+//! instructions where it does not find them; each operation is rounded once, so that every
+//! instruction set gives the same bits.
 //!
 //! [`dispatch`]: crate::lanes::dispatch
 
@@ -135,6 +136,7 @@ impl Abreast {
             let (other, [first, last]) = (simd.splat_f32x8(other), cast(self.0));
             let above =
                 |numbers| simd.avx._mm256_movemask_ps(cast(simd.cmp_gt_f32x8(numbers, other)));
+            // Put together in one mask, they would be shuffled first.
             let (first, last) = (above(first), above(last) | 1 << (ABREAST / 2));
             let past = (ABREAST / 2) as u32 + last.trailing_zeros();
             return if first == 0 { past } else { first.trailing_zeros() } as usize;
@@ -249,21 +251,15 @@ pub(super) fn lesser(a: f32, b: f32) -> f32 {
 }
 
 /// A number above `2^t`, for `t < 127`, by at most 6.4 %; for `t < −126` it is that of −126.
+///
+/// It is on the chord of the powers between integers: the bits of a float grow along it.
 #[inline(always)]
 pub(super) fn power_above(t: f32) -> f32 {
-    chord(t + ROUNDED)
-}
-
-/// What [`chord`] may lack by the rounding of its argument.
-pub(super) const ROUNDED: f32 = 1e-3;
-
-/// The chord of the powers `2^t` between integers, up to [`ROUNDED`] in `t`: the bits of a float
-/// grow along it, which lies above the power. For `t < −126` it is that of −126.
-#[inline(always)]
-pub(super) fn chord(t: f32) -> f32 {
+    /// More than the sum's rounding can take.
+    const ROUNDED: f32 = 1e-3;
     // The sum, between 512 and 1024, has 14 bits after the point; the shift drops its own exponent
     // and makes what is above 512 the new one, and the mantissa.
-    let fixed = greater(t, -126.0) + (127.0 + 512.0);
+    let fixed = greater(t + ROUNDED, -126.0) + (127.0 + 512.0);
     f32::from_bits(fixed.to_bits() << 9)
 }
 
@@ -271,7 +267,7 @@ pub(super) fn chord(t: f32) -> f32 {
 pub(super) const LOOSEST: f64 = 1.064;
 
 /// [`Abreast::power_just_above`] is no more than so many times the power.
-pub(super) const LOOSE: f64 = 1.0035;
+pub(super) const JUST_ABOVE: f64 = 1.0035;
 
 /// `2^t` of `t` from −126 to 127, as a polynomial of what `t` is above the nearest integer.
 #[inline(always)]
@@ -338,7 +334,7 @@ mod tests {
                     assert_eq!(power, 0.0);
                 } else {
                     assert!((power / exact - 1.0).abs() < 3e-7, "{t}: {power} {exact}");
-                    assert!(above <= LOOSE * exact, "{t}: {exact} {above}");
+                    assert!(above <= JUST_ABOVE * exact, "{t}: {exact} {above}");
                 }
             }
         }

@@ -25,8 +25,8 @@ use pulp::{Simd, WithSimd};
 use rand::{Rng, RngExt};
 
 use super::abreast::{
-    ABREAST, Abreast, Each, LEAST_TOTAL, LOOSE, MAX_DIMENSION, MAX_TRIALS, State, States, each,
-    greater, less_distance2, lesser, part,
+    ABREAST, Abreast, Each, JUST_ABOVE, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, State, States,
+    each, greater, less_distance2, lesser, part,
 };
 use crate::lanes::{WIDTH, dispatch};
 
@@ -325,7 +325,7 @@ impl Columns {
                 for (bundle, (kernels, sums)) in of.enumerate() {
                     let bounds = kernels.iter().zip(sums).map(|(kernel, sum)| kernel * sum);
                     bundles[bundle / ABREAST][bundle % ABREAST] =
-                        log2_above(LOOSE * bounds.sum::<f64>());
+                        log2_above(JUST_ABOVE * bounds.sum::<f64>());
                 }
                 self.bundle_sums.extend(bundles);
             }
