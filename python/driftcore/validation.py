@@ -96,7 +96,7 @@ class Effort:
     winds: int = 100
     winds_of_orders: int = 20
     winds_of_costs: int = 5
-    winds_of_printed: int = 400
+    winds_of_printed: int = 1600
     members: int = 1000
     rounds: int = 15
     halvings: int = 10
