@@ -106,10 +106,10 @@ impl Abreast {
     pub(super) fn power<S: Simd>(mut self, simd: S) -> Self {
         const COEFFICIENTS: [f32; 6] =
             [1.340_043_3e-3, 9.676_037e-3, 5.550_327e-2, 2.402_210_7e-1, LN_2, 1.0];
-        let least = simd.splat_f32s(-126.0);
         for t in cast_slice_mut::<f32, S::f32s>(&mut self.0) {
-            let power = power(simd, simd.max_f32s(*t, least), &COEFFICIENTS);
-            *t = simd.select_f32s(simd.less_than_f32s(*t, least), simd.splat_f32s(0.0), power);
+            let tiny = simd.less_than_f32s(*t, simd.splat_f32s(LEAST_EXPONENT));
+            let power = polynomial_power(simd, *t, &COEFFICIENTS);
+            *t = simd.select_f32s(tiny, simd.splat_f32s(0.0), power);
         }
         self
     }
@@ -119,7 +119,7 @@ impl Abreast {
     pub(super) fn power_just_above<S: Simd>(mut self, simd: S) -> Self {
         const COEFFICIENTS: [f32; 3] = [0.238_840_9, 0.704_663_4, 1.002_172];
         for t in cast_slice_mut::<f32, S::f32s>(&mut self.0) {
-            *t = power(simd, simd.max_f32s(*t, simd.splat_f32s(-126.0)), &COEFFICIENTS);
+            *t = polynomial_power(simd, *t, &COEFFICIENTS);
         }
         self
     }
@@ -250,6 +250,9 @@ pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
+/// Exponent of the least normal float.
+const LEAST_EXPONENT: f32 = -126.0;
+
 /// A number above `2^t`, for `t < 127`, by at most 6.4 %; for `t < −126` it is that of −126.
 ///
 /// It is on the chord of the powers between integers: the bits of a float grow along it.
@@ -259,7 +262,7 @@ pub(super) fn power_above(t: f32) -> f32 {
     const ROUNDED: f32 = 1e-3;
     // The sum, between 512 and 1024, has 14 bits after the point; the shift drops its own exponent
     // and makes what is above 512 the new one, and the mantissa.
-    let fixed = greater(t + ROUNDED, -126.0) + (127.0 + 512.0);
+    let fixed = greater(t + ROUNDED, LEAST_EXPONENT) + (127.0 + 512.0);
     f32::from_bits(fixed.to_bits() << 9)
 }
 
@@ -269,11 +272,13 @@ pub(super) const LOOSEST: f64 = 1.064;
 /// [`Abreast::power_just_above`] is no more than so many times the power.
 pub(super) const JUST_ABOVE: f64 = 1.0035;
 
-/// `2^t` of `t` from −126 to 127, as a polynomial of what `t` is above the nearest integer.
+/// `2^t` for `t < 127`, by a polynomial in what `t` is above the nearest integer; for `t` below
+/// [`LEAST_EXPONENT`] it is that of the latter.
 #[inline(always)]
-fn power<S: Simd>(simd: S, t: S::f32s, coefficients: &[f32]) -> S::f32s {
+fn polynomial_power<S: Simd>(simd: S, t: S::f32s, coefficients: &[f32]) -> S::f32s {
     // A number whose last bits are the integer nearest to `t`.
     const ROUNDING: f32 = 12_582_912.0;
+    let t = simd.max_f32s(t, simd.splat_f32s(LEAST_EXPONENT));
     let whole = simd.add_f32s(t, simd.splat_f32s(ROUNDING));
     let rest = simd.sub_f32s(t, simd.sub_f32s(whole, simd.splat_f32s(ROUNDING)));
     let mut power = simd.splat_f32s(coefficients[0]);

@@ -548,10 +548,7 @@ impl Trial {
         let at = share * upto[ABREAST - 1];
         let place = upto.first_above(simd, at).min(ABREAST - 1);
         let inside = at - (upto[place] - sums[last + 1][place]);
-        let mut register = 0;
-        while register < last && sums[register + 1][place] <= inside {
-            register += 1;
-        }
+        let register = sums[1..].partition_point(|sum| sum[place] <= inside).min(last);
         let left = (bits & 0xff_ffff_ffff) as f32 / (1_u64 << 40) as f32;
         // What the bundle was drawn with, rounding included.
         let bound = sums[register + 1][place] - sums[register][place];
