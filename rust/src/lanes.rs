@@ -111,6 +111,18 @@ pub fn splat(value: Vec2) -> LaneVec2 {
     [Lanes::splat(value.x), Lanes::splat(value.y)]
 }
 
+/// Asks for memory that a kernel will need in a while, where processors can be asked.
+#[inline(always)]
+pub fn prefetch<T>(item: &T) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(sse) = pulp::core_arch::x86::Sse::try_new() {
+        let start = std::ptr::from_ref(item).cast::<i8>();
+        for line in (0..size_of::<T>()).step_by(64) {
+            sse._mm_prefetch::<{ std::arch::x86_64::_MM_HINT_T0 }>(start.wrapping_add(line));
+        }
+    }
+}
+
 /// Runs a kernel, which is compiled once for each instruction set, with the widest instructions
 /// that this processor has. Its method and all that it calls must be `inline(always)`.
 #[inline]

@@ -2,7 +2,7 @@
 //! once.
 //!
 //! In units of `h √(2 ln 2)` the kernel of two whitened states a distance `r` apart is `2^(−r²)`. A
-//! state is `(u, v)`: `v` its last two components, `u` the others, and the kernel the product of
+//! state is `(u, v)`: `v` its last three components, `u` the others, and the kernel the product of
 //! one in `u` and one in `v`. The rows are parted into columns, each a box of `u`, and the columns
 //! into bundles. The weight of a column is bounded by the product of
 //!
@@ -30,21 +30,23 @@ use super::abreast::{
 };
 use crate::lanes::{WIDTH, dispatch};
 
-/// Last components, whose kernels are summed in the table of the columns.
-const TABLED: usize = 2;
-/// Most of the last components, whose kernels are summed in the table of the bundles.
+/// Most of the last components, whose kernels are summed in the table of the columns, and in that of
+/// the bundles.
+const TABLED: usize = 3;
 const LATTICED: usize = 4;
 /// Widest spacing of the lattice where there is room for its nodes, and where there is not: beyond,
 /// bounds are too loose.
-const SPACING: f64 = 0.9;
+const SPACING: f64 = 1.0;
 const WIDEST: f64 = 2.0;
 /// Farthest components, in units of the kernel: single precision tells them to 10⁻⁴ of it.
 const FARTHEST: f64 = 1e3;
 /// Most numbers of each table.
 const MAX_TABLE: usize = 1 << 22;
-/// Columns of a bundle, and how many times [`ABREAST`] they are; a column has [`ABREAST`] rows.
-const BUNDLE: usize = WIDE * ABREAST;
-const WIDE: usize = 2;
+/// Columns of a bundle.
+const BUNDLE: usize = ABREAST;
+/// Rows of a column, and how many times [`ABREAST`] they are.
+const ROWS: usize = DEEP * ABREAST;
+const DEEP: usize = 2;
 /// Added to the binary logarithm of each sum: more than single precision can lack.
 const MARGIN: f64 = 5e-4;
 /// Binary logarithm of what is as good as nothing.
@@ -185,16 +187,12 @@ impl Columns {
             return None;
         }
         let rows = states.len() / d;
-        let bundles = rows.div_ceil(BUNDLE * ABREAST);
+        let bundles = rows.div_ceil(BUNDLE * ROWS);
         let registers = bundles.div_ceil(ABREAST);
         let columns = registers * ABREAST * BUNDLE;
         let lattice = Self::lattice(&states, d, registers)?;
-        let nodes: usize =
-            lattice[lattice.len() - TABLED..].iter().map(|axis| axis.nodes).product();
-        if nodes.checked_mul(columns)? > MAX_TABLE {
-            return None;
-        }
-        let (boxed, beyond) = (d - TABLED, d - lattice.len());
+        let nodes: usize = tabled(&lattice).iter().map(|axis| axis.nodes).product();
+        let (boxed, beyond) = (boxed(d), d - lattice.len());
         let empty = [Abreast::splat(f32::INFINITY), Abreast::splat(f32::NEG_INFINITY)];
         let mut new = Self {
             dimension: d,
@@ -205,8 +203,8 @@ impl Columns {
             boxes: vec![empty; columns / ABREAST * boxed],
             sums: vec![Abreast::splat(NOTHING as f32); columns / ABREAST * nodes],
             // Spare places lie beyond everything.
-            states: vec![Abreast::splat(f32::INFINITY); columns * d],
-            rows: vec![0; columns * ABREAST],
+            states: vec![Abreast::splat(f32::INFINITY); columns * DEEP * d],
+            rows: vec![0; columns * ROWS],
             lattice,
         };
         new.fill(0..bundles * BUNDLE, (0..rows as u32).collect(), &states);
@@ -214,15 +212,16 @@ impl Columns {
         Some(new)
     }
 
-    /// The lattice, as narrow as the bundles' table may be large.
+    /// The lattice, as narrow as both tables have room for.
     fn lattice(states: &[f64], d: usize, registers: usize) -> Option<Vec<Axis>> {
         let mut spacing = SPACING;
         while spacing <= WIDEST {
             let component = |k: usize| states.iter().skip(k).step_by(d).copied();
             let axes = (d - LATTICED.min(d)..d).map(|k| Axis::spanning(component(k), spacing));
             let axes: Vec<Axis> = axes.collect();
-            let nodes: f64 = axes.iter().map(|axis| axis.nodes as f64).product();
-            if nodes * (registers * ABREAST) as f64 <= MAX_TABLE as f64 {
+            let nodes = |axes: &[Axis]| axes.iter().map(|axis| axis.nodes as f64).product::<f64>();
+            let largest = nodes(&axes).max(nodes(tabled(&axes)) * BUNDLE as f64);
+            if largest * (registers * ABREAST) as f64 <= MAX_TABLE as f64 {
                 return Some(axes);
             }
             spacing *= 1.05;
@@ -230,14 +229,9 @@ impl Columns {
         None
     }
 
-    /// The components that the columns' table is of.
-    fn tabled(&self) -> &[Axis] {
-        &self.lattice[self.lattice.len() - TABLED..]
-    }
-
     /// Parts some rows among columns of a range.
     fn fill(&mut self, range: Range<usize>, rows: Vec<u32>, states: &[f64]) {
-        let (d, boxed) = (self.dimension, self.dimension - TABLED);
+        let (d, boxed) = (self.dimension, boxed(self.dimension));
         if range.len() > 1 {
             // Bundles are parted first, by the components that their boxes alone bound.
             let bundles = range.len() > BUNDLE;
@@ -256,13 +250,14 @@ impl Columns {
         }
         let column = range.start;
         let state = |row: &u32| &states[*row as usize * d..][..d];
-        let slots = &mut self.rows[column * ABREAST..][..ABREAST];
+        let slots = &mut self.rows[column * ROWS..][..ROWS];
         // Where rounding leads to a spare place, it is the last row's.
         slots.fill(rows.last().copied().unwrap_or_default());
         for (slot, row) in rows.iter().enumerate() {
             slots[slot] = *row;
             for (k, value) in state(row).iter().enumerate() {
-                self.states[column * d + k][slot] = *value as f32;
+                let register = (column * DEEP + slot / ABREAST) * d + k;
+                self.states[register][slot % ABREAST] = *value as f32;
             }
         }
         let (boxed_alone, bundle) = (d - self.lattice.len(), column / BUNDLE);
@@ -277,32 +272,36 @@ impl Columns {
                 }
             }
         }
-        // The kernel from each row to the nodes of both axes.
-        let kernels = rows.iter().map(|row| -> [Vec<f64>; TABLED] {
-            std::array::from_fn(|k| {
-                let (axis, value) = (&self.tabled()[k], state(row)[boxed + k]);
-                let kernel = |node| -> f64 { (-(value - axis.at(node)).powi(2)).exp2() };
-                (0..axis.nodes).map(kernel).collect()
-            })
-        });
-        let kernels: Vec<_> = kernels.collect();
-        let (nodes, registers) = (self.tabled()[1].nodes, self.registers * BUNDLE);
-        for (node, sums) in self.sums.chunks_exact_mut(registers).enumerate() {
-            let of = kernels.iter().map(|[a, b]| a[node / nodes] * b[node % nodes]);
+        // The kernels from the rows to the nodes, one component after the other.
+        let registers = self.registers * BUNDLE;
+        let mut of_nodes = vec![0.0; self.sums.len() / registers];
+        for row in &rows {
+            let mut kernels = vec![1.0];
+            for (axis, value) in tabled(&self.lattice).iter().zip(&state(row)[boxed..]) {
+                let kernel = |node| (-(value - axis.at(node)).powi(2)).exp2();
+                let of_axis: Vec<f64> = (0..axis.nodes).map(kernel).collect();
+                let products = kernels.iter().flat_map(|a| of_axis.iter().map(move |b| a * b));
+                kernels = products.collect();
+            }
+            for (sum, kernel) in of_nodes.iter_mut().zip(kernels) {
+                *sum += kernel;
+            }
+        }
+        for (sums, sum) in self.sums.chunks_exact_mut(registers).zip(of_nodes) {
             // What is lost below the least number is as good as nothing at the next nodes, too.
-            sums[column / ABREAST][column % ABREAST] = log2_above(of.sum());
+            sums[column / ABREAST][column % ABREAST] = log2_above(sum);
         }
     }
 
     /// Sums the bounds of each bundle's columns at the nodes of the lattice.
     fn sum_bundles(&mut self) {
         let registers = self.registers * BUNDLE;
-        let first = &self.lattice[..self.lattice.len() - TABLED];
+        let first = &self.lattice[..self.lattice.len() - tabled(&self.lattice).len()];
         let nodes = self.sums.chunks_exact(registers).map(|sums| {
             sums.iter().flat_map(|sums| sums.0).map(|sum| f64::from(sum).exp2()).collect()
         });
         let nodes: Vec<Vec<f64>> = nodes.collect();
-        let boxed = self.dimension - TABLED;
+        let boxed = boxed(self.dimension);
         let combinations: usize = first.iter().map(|axis| axis.nodes).product();
         for combination in 0..combinations {
             // The kernel from a node to each box.
@@ -360,6 +359,17 @@ impl Columns {
     ) {
         dispatch(Draw { columns: self, states, numbers, rngs, scratch, drawn });
     }
+}
+
+/// The components of a lattice that the columns' table is of.
+fn tabled(lattice: &[Axis]) -> &[Axis] {
+    &lattice[lattice.len().saturating_sub(TABLED)..]
+}
+
+/// How many components are before those.
+#[inline(always)]
+fn boxed(d: usize) -> usize {
+    d.saturating_sub(TABLED)
 }
 
 /// A binary logarithm, not below that of what is as good as nothing, and by the margin too much.
@@ -429,11 +439,11 @@ impl WithSimd for Weigh<'_> {
         }
         for bundle in 0..columns.registers * ABREAST {
             let bounds = columns.of_columns(&Trial { slot: bundle, ..first }, looks, d);
-            all[1].extend(bounds.into_iter().flat_map(|of| of.power_just_above(simd).0));
+            all[1].extend(bounds.power_just_above(simd).0);
         }
         for column in 0..columns.registers * ABREAST * BUNDLE {
             let weights = columns.of_rows(&Trial { slot: column, ..first }, looks, d);
-            all[2].extend(weights.power(simd).0);
+            all[2].extend(weights.into_iter().flat_map(|of| of.power(simd).0));
         }
         all
     }
@@ -476,8 +486,8 @@ impl<R: Rng> Draw<'_, R> {
         }
         let mut slots = [usize::MAX; WIDTH];
         let mut trials = [Trial::default(); WIDTH];
-        let mut of_columns = [[Abreast::default(); WIDE]; WIDTH];
-        let mut of_rows = [Abreast::default(); WIDTH];
+        let mut of_columns = [Abreast::default(); WIDTH];
+        let mut of_rows = [[Abreast::default(); DEEP]; WIDTH];
         for _ in 0..MAX_TRIALS {
             if count == 0 {
                 break;
@@ -491,13 +501,13 @@ impl<R: Rng> Draw<'_, R> {
             for (trial, exponents) in trials[..count].iter().zip(&mut of_columns) {
                 *exponents = columns.of_columns(trial, looks, d);
             }
-            for bounds in of_columns[..count].as_flattened_mut() {
+            for bounds in &mut of_columns[..count] {
                 *bounds = bounds.power_just_above(simd);
             }
             let mut left = 0;
             for at in 0..count {
                 let mut trial = trials[at];
-                let found = trial.narrow(simd, &of_columns[at]);
+                let found = trial.narrow(simd, &[of_columns[at]]);
                 // Those without a column go to the end.
                 trials[at] = trials[left];
                 trials[left] = trial;
@@ -506,13 +516,13 @@ impl<R: Rng> Draw<'_, R> {
             for (trial, exponents) in trials[..left].iter().zip(&mut of_rows) {
                 *exponents = columns.of_rows(trial, looks, d);
             }
-            for weights in &mut of_rows[..left] {
+            for weights in of_rows[..left].as_flattened_mut() {
                 *weights = weights.power(simd);
             }
             let mut again = 0;
             for at in 0..count {
                 let mut trial = trials[at];
-                let found = at < left && trial.narrow(simd, &[of_rows[at]]);
+                let found = at < left && trial.narrow(simd, &of_rows[at]);
                 slots[trial.number] = trial.slot;
                 waiting[again] = trial.number;
                 again += usize::from(!found);
@@ -592,15 +602,15 @@ impl Columns {
         d: usize,
         scratch: &mut Scratch,
     ) {
-        if d == TABLED {
-            self.look::<S, TABLED>(simd, states, numbers, d, scratch);
+        if d == 2 {
+            self.look::<S, 2, 2>(simd, states, numbers, d, scratch);
         } else {
-            self.look::<S, LATTICED>(simd, states, numbers, d, scratch);
+            self.look::<S, LATTICED, TABLED>(simd, states, numbers, d, scratch);
         }
     }
 
     #[inline(always)]
-    fn look<S: Simd, const K: usize>(
+    fn look<S: Simd, const K: usize, const T: usize>(
         &self,
         simd: S,
         states: &States,
@@ -621,7 +631,7 @@ impl Columns {
         let simplices = Simplices::around(&inside, nodes);
         let mut shift = [0.0; WIDTH];
         for (k, axis) in lattice.iter().enumerate() {
-            if k == K - TABLED {
+            if k == K - T {
                 looks.of_columns = shift;
             }
             let (square, above, beyond) =
@@ -630,10 +640,10 @@ impl Columns {
             shift = each(|at| beyond[at].mul_add(beyond[at], shift[at]));
         }
         looks.of_rows = shift;
-        let tabled: [_; TABLED] = [inside[K - 2], inside[K - 1]];
-        let in_table = Simplices::around(&tabled, [nodes[K - 2], nodes[K - 1]]);
+        let last: [_; T] = std::array::from_fn(|k| inside[K - T + k]);
+        let in_table = Simplices::around(&last, std::array::from_fn(|k| nodes[K - T + k]));
         (looks.nodes[0], looks.shares[0]) = (in_table.first, in_table.of_first);
-        for k in 0..TABLED {
+        for k in 0..T {
             for at in 0..WIDTH {
                 looks.nodes[k + 1][at] = looks.nodes[k][at] + in_table.steps[k][at];
             }
@@ -666,32 +676,29 @@ impl Columns {
 
     /// Binary logarithms of the bounds of a bundle's columns.
     #[inline(always)]
-    fn of_columns(&self, trial: &Trial, looks: &Looks, d: usize) -> [Abreast; WIDE] {
-        let (boxed, number, first) = (d - TABLED, trial.number, trial.slot * WIDE);
+    fn of_columns(&self, trial: &Trial, looks: &Looks, d: usize) -> Abreast {
+        let (boxed, number, bundle) = (boxed(d), trial.number, trial.slot);
         let registers = self.registers * BUNDLE;
-        let mut exponents = [Abreast::splat(looks.of_columns[number]); WIDE];
+        let mut exponents = Abreast::splat(looks.of_columns[number]);
         for (node, share) in looks.nodes.iter().zip(&looks.shares) {
-            let lines = &self.sums[node[number] as usize * registers + first..][..WIDE];
-            for (exponents, line) in exponents.iter_mut().zip(lines) {
-                *exponents = Abreast::of(|k| line[k].mul_add(share[number], exponents[k]));
-            }
+            let line = &self.sums[node[number] as usize * registers + bundle];
+            exponents = Abreast::of(|k| line[k].mul_add(share[number], exponents[k]));
         }
-        let boxes = &self.boxes[first * boxed..][..WIDE * boxed];
-        for (n, exponents) in exponents.iter_mut().enumerate() {
-            *exponents = looks.less_distance2(*exponents, &boxes[n * boxed..][..boxed], number);
-        }
-        exponents
+        looks.less_distance2(exponents, &self.boxes[bundle * boxed..][..boxed], number)
     }
 
     /// Binary logarithms of the weights of a column's rows.
     #[inline(always)]
-    fn of_rows(&self, trial: &Trial, looks: &Looks, d: usize) -> Abreast {
-        let mut exponents = Abreast::splat(looks.of_rows[trial.number]);
-        for (of, place) in self.states[trial.slot * d..][..d].iter().zip(&looks.place) {
-            let z = place[trial.number];
-            exponents = Abreast::of(|k| (-(of[k] - z)).mul_add(of[k] - z, exponents[k]));
+    fn of_rows(&self, trial: &Trial, looks: &Looks, d: usize) -> [Abreast; DEEP] {
+        let mut all = [Abreast::splat(looks.of_rows[trial.number]); DEEP];
+        let states = &self.states[trial.slot * DEEP * d..][..DEEP * d];
+        for (n, exponents) in all.iter_mut().enumerate() {
+            for (of, place) in states[n * d..][..d].iter().zip(&looks.place) {
+                let z = place[trial.number];
+                *exponents = Abreast::of(|k| (-(of[k] - z)).mul_add(of[k] - z, exponents[k]));
+            }
         }
-        exponents
+        all
     }
 }
 

@@ -8,7 +8,7 @@ use super::path::{WindPath, require_cover};
 use super::{Mark, MemberWinds, Sampling};
 use crate::error::{DriftError, finite, positive, product, room};
 use crate::field::Vec2;
-use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
+use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, prefetch, set_lane};
 
 /// The winds of a group of members at one knot.
 pub(crate) trait Knot: Copy + Send + Sync {
@@ -242,6 +242,7 @@ fn sums_of(integrals: [LaneVec2; 2], wind: &LaneVec2) -> Sums {
     [single, double]
 }
 
+const AHEAD: usize = 16;
 /// Knots that have been passed are dropped when there are so many of them.
 const KEPT_KNOTS: usize = 1024;
 
@@ -539,6 +540,9 @@ impl<K: Knot> Walk<'_, K> {
         let [single, double] = &mut self.sums;
         while self.knot < target {
             let next = view.velocity[self.knot + 1].lanes();
+            if let Some(ahead) = view.velocity.get(self.knot + AHEAD) {
+                prefetch(ahead);
+            }
             for k in 0..2 {
                 double[k] += single[k];
                 single[k] += next[k];
