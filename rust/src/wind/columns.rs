@@ -41,7 +41,7 @@ const WIDEST: f64 = 2.0;
 /// Farthest components, in units of the kernel: single precision tells them to 10⁻⁴ of it.
 const FARTHEST: f64 = 1e3;
 /// Most numbers of each table.
-const MAX_TABLE: usize = 1 << 22;
+const MAX_TABLE: usize = 1 << 23;
 /// Columns of a bundle.
 const BUNDLE: usize = ABREAST;
 /// Rows of a column, and how many times [`ABREAST`] they are.
