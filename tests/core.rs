@@ -320,7 +320,7 @@ fn rows_are_drawn_by_their_weights() {
 /// which would take one number.
 #[test]
 fn rows_are_accepted_soon() {
-    for (bandwidth, expected) in [(0.3, 2.01..3.0), (0.03, 4.0..16.0)] {
+    for (bandwidth, expected) in [(0.3, 2.01..3.0), (0.03, 2.01..3.0), (0.003, 4.0..16.0)] {
         let catalogue = catalogue(bandwidth);
         let bootstrap = Bootstrap::new(catalogue.clone()).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(8);

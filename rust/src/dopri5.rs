@@ -111,7 +111,7 @@ impl<const N: usize> Step<N> {
 
     /// Bounds of |y(u) − y(0)| and of |dy/dt| over the step, of the components `i` and `i + 1`.
     pub fn reach(&self, i: usize) -> (f64, f64) {
-        let size = |p: &SVector<f64, N>| p[i].hypot(p[i + 1]);
+        let size = |p: &SVector<f64, N>| p.fixed_rows::<2>(i).norm();
         let distance = self.powers.iter().map(size).sum();
         let speed: f64 = (1..=4).zip(&self.powers).map(|(k, p)| f64::from(k) * size(p)).sum();
         (distance, speed / self.h)

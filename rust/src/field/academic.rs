@@ -53,19 +53,8 @@ impl SeparableCurrent {
         })
     }
 
-    /// `Σ_j −s_j cos(jωt)/(jω) · x_k strength(t)`.
-    fn excursion(&self, t: f64, omega: f64, x: Vec2) -> Vec2 {
-        let size = self.strength(t).0 * x[self.axis];
-        (1..)
-            .zip(&self.sines)
-            .zip(super::phasors(omega * t))
-            .map(|((j, s), phasor)| s * (-size / (f64::from(j) * omega)) * phasor.re)
-            .sum()
-    }
-
-    /// Largest (Σ|Z_j|, Σ‖∇Z_j‖, Σ|∂ₜZ_j|) in a ball.
-    fn bounds(&self, center: Vec2, radius: f64) -> (f64, f64, f64) {
-        let waves: f64 = self.sines.iter().map(|s| s.norm()).sum();
+    /// Largest (Σ|Z_j|, Σ‖∇Z_j‖, Σ|∂ₜZ_j|) in a ball, for the sum `waves` of all |s_j|.
+    fn bounds(&self, waves: f64, center: Vec2, radius: f64) -> (f64, f64, f64) {
         let strength = self.mean.abs() + self.modulation.abs();
         let rate = std::f64::consts::TAU * self.cycles.abs() * self.modulation.abs();
         let position = center[self.axis].abs() + radius;
@@ -79,6 +68,10 @@ pub struct AcademicSea {
     period: f64,
     tide: SeparableCurrent,
     residual: SeparableCurrent,
+    /// `Σ|s_j|` of both.
+    waves: [f64; 2],
+    /// Cosine amplitudes `−s_j/(jω)` of the tide's excursion.
+    cosines: Vec<Vec2>,
 }
 
 impl AcademicSea {
@@ -105,7 +98,10 @@ impl AcademicSea {
         for s in &mut residual.sines {
             *s *= residual_scale;
         }
-        Ok(Self { period, tide, residual })
+        let waves = [&tide, &residual].map(|of| of.sines.iter().map(|s| s.norm()).sum());
+        let omega = std::f64::consts::TAU / period;
+        let cosines = (1..).zip(&tide.sines).map(|(j, s)| s / (-f64::from(j) * omega)).collect();
+        Ok(Self { period, tide, residual, waves, cosines })
     }
 
     /// The paper's numbers at a given `ε` (time unit: the run).
@@ -148,7 +144,9 @@ impl SeaField for AcademicSea {
     }
 
     fn excursion(&self, t: f64, x: Vec2) -> Result<Vec2, DriftError> {
-        Ok(self.tide.excursion(t, self.omega(), x))
+        let phasors = super::phasors(self.omega() * t);
+        let wave: Vec2 = phasors.zip(&self.cosines).map(|(phasor, c)| c * phasor.re).sum();
+        Ok(wave * (self.tide.strength(t).0 * x[self.tide.axis]))
     }
 
     fn is_linear(&self) -> bool {
@@ -156,8 +154,8 @@ impl SeaField for AcademicSea {
     }
 
     fn bounds(&self, center: Vec2, radius: f64) -> FieldBounds {
-        let (tide, gradient, rate) = self.tide.bounds(center, radius);
-        let (residual, _, _) = self.residual.bounds(center, radius);
+        let (tide, gradient, rate) = self.tide.bounds(self.waves[0], center, radius);
+        let (residual, _, _) = self.residual.bounds(self.waves[1], center, radius);
         FieldBounds { tide, gradient, rate, residual }
     }
 }

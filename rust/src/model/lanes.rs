@@ -233,7 +233,7 @@ impl State {
     /// One member's last step, from `t` on, where it began at `p`.
     pub fn one_step(&self, grid: &Grid, n: usize, p: &LaneVec2, place: usize) -> Step<2> {
         let (t, end) = grid.span(n);
-        let stages = self.stages.map(|k| lane(&k, place));
+        let stages = std::array::from_fn(|n| lane(&self.stages[n], place));
         Step {
             t,
             h: end - t,

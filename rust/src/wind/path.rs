@@ -8,7 +8,7 @@ use crate::field::Vec2;
 /// Wind path: linear between knots, or (for coarse sampling of a finer wind) the parabola that
 /// has the given integral over each interval.
 ///
-/// With `s = t − t_i`, `u = s/h`, `D = W_{i+1} − W_i` and the excess `e` of the mean over that of
+/// With `u = (t − t_i)/h`, `D = W_{i+1} − W_i` and the excess `e` of the mean over that of
 /// the chord, `W = W_i + Du + 6e u(1 − u)`; the integrals below follow, equations.md (21).
 #[derive(Debug, Clone)]
 pub struct WindPath {
@@ -16,8 +16,10 @@ pub struct WindPath {
     velocity: Vec<Vec2>,
     /// Excess of each interval's mean over the chord's; empty where the path is linear.
     excess: Vec<Vec2>,
-    /// ∫W, ∬W and ∭W from the first knot to each knot.
-    integrals: Vec<[Vec2; 3]>,
+    /// ∫W and ∬W from the first knot to each knot.
+    integrals: Vec<[Vec2; 2]>,
+    /// ∭W likewise; none of a stretch.
+    triple_integrals: Vec<Vec2>,
     /// Spacing, where the knots are regular.
     spacing: Option<f64>,
 }
@@ -53,7 +55,7 @@ impl WindPath {
         let regular = (times.iter().enumerate())
             .all(|(k, t)| (t - times[0] - k as f64 * step).abs() <= 1e-9 * step);
         let spacing = regular.then_some(step);
-        Ok(Self::with_integrals(times, velocity, Vec::new(), spacing, [Vec2::zeros(); 3]))
+        Ok(Self::whole(times, velocity, Vec::new(), spacing))
     }
 
     /// Path through `velocity` at `start + k·step`, whose integral over interval `k` is
@@ -69,7 +71,7 @@ impl WindPath {
             .map(|(pair, integral)| integral / step - (pair[0] + pair[1]) / 2.0)
             .collect();
         let times = (0..velocity.len()).map(|k| start + k as f64 * step).collect();
-        Ok(Self::with_integrals(times, velocity, excess, Some(step), [Vec2::zeros(); 3]))
+        Ok(Self::whole(times, velocity, excess, Some(step)))
     }
 
     /// No wind at any time.
@@ -90,13 +92,24 @@ impl WindPath {
         before: [Vec2; 2],
     ) -> Self {
         let times = (0..velocity.len()).map(|k| start + k as f64 * step).collect();
-        Self::with_integrals(
-            times,
-            velocity,
-            excess,
-            Some(step),
-            [before[0], before[1], Vec2::zeros()],
-        )
+        Self::with_integrals(times, velocity, excess, Some(step), before)
+    }
+
+    /// A path whose integrals are all counted from its first knot.
+    fn whole(
+        times: Vec<f64>,
+        velocity: Vec<Vec2>,
+        excess: Vec<Vec2>,
+        spacing: Option<f64>,
+    ) -> Self {
+        let before = [Vec2::zeros(); 2];
+        let mut path = Self::with_integrals(times, velocity, excess, spacing, before);
+        path.triple_integrals.reserve(path.times.len());
+        path.triple_integrals.push(Vec2::zeros());
+        for i in 0..path.times.len() - 1 {
+            path.triple_integrals.push(path.triple(i, 1.0));
+        }
+        path
     }
 
     fn with_integrals(
@@ -104,14 +117,14 @@ impl WindPath {
         velocity: Vec<Vec2>,
         excess: Vec<Vec2>,
         spacing: Option<f64>,
-        before: [Vec2; 3],
+        before: [Vec2; 2],
     ) -> Self {
-        let mut path = Self { times, velocity, excess, integrals: Vec::new(), spacing };
+        let (integrals, triple_integrals) = (Vec::new(), Vec::new());
+        let mut path = Self { times, velocity, excess, integrals, triple_integrals, spacing };
         path.integrals.reserve(path.times.len());
         path.integrals.push(before);
         for i in 0..path.times.len() - 1 {
-            let h = path.times[i + 1] - path.times[i];
-            path.integrals.push([path.single(i, h), path.double(i, h), path.triple(i, h)]);
+            path.integrals.push([path.single(i, 1.0), path.double(i, 1.0)]);
         }
         path
     }
@@ -141,71 +154,81 @@ impl WindPath {
         require_cover((self.start(), self.end()), (start, end))
     }
 
-    /// Interval of `t` and the time since its first knot; the end intervals are continued.
+    /// Interval of `t` and the place in it, from 0 to 1; the end intervals are continued.
     fn locate(&self, t: f64) -> (usize, f64) {
         let last = self.times.len() - 2;
-        let i = match self.spacing {
-            Some(step) => (((t - self.times[0]) / step).max(0.0) as usize).min(last),
-            None => self.times.partition_point(|knot| *knot <= t).clamp(1, last + 1) - 1,
-        };
-        (i, t - self.times[i])
+        if let Some(step) = self.spacing {
+            let place = (t - self.times[0]) / step;
+            let i = (place.max(0.0) as usize).min(last);
+            return (i, place - i as f64);
+        }
+        let i = self.times.partition_point(|knot| *knot <= t).clamp(1, last + 1) - 1;
+        (i, (t - self.times[i]) / self.length(i))
     }
 
-    fn interval(&self, i: usize, s: f64) -> (f64, f64, Vec2, Vec2, Vec2) {
-        let h = self.times[i + 1] - self.times[i];
+    fn length(&self, i: usize) -> f64 {
+        self.times[i + 1] - self.times[i]
+    }
+
+    /// Wind at the first knot of an interval, what it changes by, and the excess.
+    fn interval(&self, i: usize) -> (Vec2, Vec2, Vec2) {
         let first = self.velocity[i];
         let excess = self.excess.get(i).copied().unwrap_or_default();
-        (h, s / h, first, self.velocity[i + 1] - first, excess)
+        (first, self.velocity[i + 1] - first, excess)
     }
 
-    fn single(&self, i: usize, s: f64) -> Vec2 {
-        let (h, u, w, d, e) = self.interval(i, s);
-        self.integrals[i][0] + (w * u + d * (u * u / 2.0) + e * (u * u * (3.0 - 2.0 * u))) * h
+    fn single(&self, i: usize, u: f64) -> Vec2 {
+        let (w, d, e) = self.interval(i);
+        let inner = w * u + d * (u * u / 2.0) + e * (u * u * (3.0 - 2.0 * u));
+        self.integrals[i][0] + inner * self.length(i)
     }
 
-    fn double(&self, i: usize, s: f64) -> Vec2 {
-        let (h, u, w, d, e) = self.interval(i, s);
-        let [first, second, _] = self.integrals[i];
+    fn double(&self, i: usize, u: f64) -> Vec2 {
+        let (w, d, e) = self.interval(i);
+        let [first, second] = self.integrals[i];
+        let s = u * self.length(i);
         let inner = w / 2.0 + d * (u / 6.0) + e * (u * (1.0 - u / 2.0));
-        second + first * s + inner * (h * h * u * u)
+        second + first * s + inner * (s * s)
     }
 
-    fn triple(&self, i: usize, s: f64) -> Vec2 {
-        let (h, u, w, d, e) = self.interval(i, s);
-        let [first, second, third] = self.integrals[i];
+    fn triple(&self, i: usize, u: f64) -> Vec2 {
+        let (w, d, e) = self.interval(i);
+        let [first, second] = self.integrals[i];
+        let third = self.triple_integrals.get(i).copied().unwrap_or_default();
+        let s = u * self.length(i);
         let inner = w / 6.0 + d * (u / 24.0) + e * (u * (0.25 - u / 10.0));
-        third + second * s + first * (s * s / 2.0) + inner * (h * u).powi(3)
+        third + second * s + first * (s * s / 2.0) + inner * (s * s * s)
     }
 
     /// Wind `W(t)` [length/time].
     pub fn velocity(&self, t: f64) -> Vec2 {
-        let (i, s) = self.locate(t);
-        let (_, u, w, d, e) = self.interval(i, s);
+        let (i, u) = self.locate(t);
+        let (w, d, e) = self.interval(i);
         w + d * u + e * (6.0 * u * (1.0 - u))
     }
 
     /// `∫W` from the first knot to `t` [length].
     pub fn integral(&self, t: f64) -> Vec2 {
-        let (i, s) = self.locate(t);
-        self.single(i, s)
+        let (i, u) = self.locate(t);
+        self.single(i, u)
     }
 
     /// `∬W` from the first knot to `t` [length·time].
     pub fn double_integral(&self, t: f64) -> Vec2 {
-        let (i, s) = self.locate(t);
-        self.double(i, s)
+        let (i, u) = self.locate(t);
+        self.double(i, u)
     }
 
     /// `∭W` from the first knot to `t` [length·time²].
     pub fn triple_integral(&self, t: f64) -> Vec2 {
-        let (i, s) = self.locate(t);
-        self.triple(i, s)
+        let (i, u) = self.locate(t);
+        self.triple(i, u)
     }
 
     /// `(∫W, ∬W)` from the first knot to `t`, at the price of one look-up.
     pub fn integrals(&self, t: f64) -> (Vec2, Vec2) {
-        let (i, s) = self.locate(t);
-        (self.single(i, s), self.double(i, s))
+        let (i, u) = self.locate(t);
+        (self.single(i, u), self.double(i, u))
     }
 
     /// Mean over the window of length `window` centred at `t`: the paper's `⟨W⟩_p`.
