@@ -167,11 +167,11 @@ def test_mean_follows_the_season_across_the_year(step_h: int, order: int) -> Non
 
 def test_law_does_not_jump_at_the_horizon() -> None:
     """Of forecasts with the climate's law, W keeps that law, also where r of 0.5 is left."""
-    forecasts = drawn(MEMBERS, 21, seed=5)
+    forecasts = drawn(2 * MEMBERS, 21, seed=5)
     skill = {"lead_h": [0, 120], "r": [1, 0.5]}
     over = dc.HandOver([table(wind) for wind in forecasts], climate(), skill=skill)
     steps = 21 + 20
-    _, wind = over.sample(8 * MEMBERS, steps, seed=6)
+    _, wind = over.sample(16 * MEMBERS, steps, seed=6)
     x = wind - mean_day(steps)
     spread = x.std(axis=0) / anomalies().std(axis=0)
     assert np.abs(spread - 1).max() < 0.08

@@ -181,11 +181,11 @@ def test_rare_is_reached_at_a_small_cost() -> None:
     """At 1e-5 a few thousand members stand for many times as many; a seed is a result."""
     wind = dc.paper.default_wind()
     case = scenario(0.17)
-    found = dc.rare_probability(case, wind, particles=100, replicates=20, seed=2)
+    found = dc.rare_probability(case, wind, particles=100, replicates=20, seed=3)
     assert 1e-7 < found.estimate < 1e-4
     assert found.plain_members > 20 * found.followed
     assert found.high < 5 * found.low
-    again = dc.rare_probability(case, wind, particles=100, replicates=20, seed=2, threads=1)
+    again = dc.rare_probability(case, wind, particles=100, replicates=20, seed=3, threads=1)
     assert np.array_equal(again.replicates, found.replicates)
     assert str(found) == f"{found.estimate:.3g} [{found.low:.3g}, {found.high:.3g}]"
 

@@ -11,7 +11,7 @@ from driftcore.law import Simulator, simulator
 from driftcore.record import Float, Integer, WindRecord
 from driftcore.wind import LocalGridBootstrap, Mode
 
-_SEED = 1
+_SEED = 3
 
 
 def bootstrap(mode: Mode, h: float, b: float | None = None) -> Callable[[WindRecord], Simulator]:

@@ -394,7 +394,8 @@ struct Looks {
     /// the bundles' bounds.
     of_columns: Each<f32>,
     of_rows: Each<f32>,
-    /// Nodes of the columns' table, and their shares.
+    /// Nodes of the columns' table, and their shares: none of those that a state of two components
+    /// does not have.
     nodes: [Each<u32>; TABLED + 1],
     shares: [Each<f32>; TABLED + 1],
     /// Sums of the bounds up to each place of all registers, state by state.
@@ -649,6 +650,7 @@ impl Columns {
             }
             looks.shares[k + 1] = in_table.shares[k];
         }
+        looks.shares[T + 1..].fill([0.0; WIDTH]);
         let room = self.registers + 1;
         sums.resize(room * WIDTH, Abreast::default());
         for number in numbers.iter().copied() {
