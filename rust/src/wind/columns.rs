@@ -162,7 +162,11 @@ impl<const K: usize> Simplices<K> {
         for k in 1..K {
             shares[k - 1] = each(|at| fractions[k - 1][at] - fractions[k][at]);
         }
-        Self { first: whole(&first), steps: steps.map(|of| whole(&of)), of_first, shares, above }
+        let mut whole_steps = [[0; WIDTH]; K];
+        for (whole_step, step) in whole_steps.iter_mut().zip(&steps) {
+            *whole_step = whole(step);
+        }
+        Self { first: whole(&first), steps: whole_steps, of_first, shares, above }
     }
 }
 

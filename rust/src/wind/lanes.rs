@@ -244,7 +244,7 @@ fn sums_of(integrals: [LaneVec2; 2], wind: &LaneVec2) -> Sums {
 
 const AHEAD: usize = 16;
 /// Knots that have been passed are dropped when there are so many of them.
-const KEPT_KNOTS: usize = 1024;
+const KEPT_KNOTS: usize = 16;
 
 impl<'a> LaneWind<'a> {
     /// Members `WIDTH·group` and following, in memory.
