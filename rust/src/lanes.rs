@@ -129,3 +129,14 @@ pub fn prefetch<T>(item: &T) {
 pub fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
     pulp::Arch::new().dispatch(kernel)
 }
+
+/// The same with at most 256 bits: where a kernel mostly waits, wider instructions only slow the
+/// processor's clock, for all that comes after them, too.
+#[inline]
+pub fn dispatch_narrow<K: WithSimd>(kernel: K) -> K::Output {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(simd) = pulp::x86::V3::try_new() {
+        return pulp::Simd::vectorize(simd, kernel);
+    }
+    dispatch(kernel)
+}

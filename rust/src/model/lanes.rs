@@ -14,7 +14,7 @@ use super::{Formulation, Model, Piece, Problem, Reach, mean_drift};
 use crate::dopri5::{A, B, C, D, E, Step, powers};
 use crate::error::DriftError;
 use crate::field::{Harmonics, SeaField, Vec2};
-use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, lane, set_lane};
+use crate::lanes::{LaneVec2, Lanes, WIDTH, dispatch, dispatch_narrow, lane, set_lane};
 use crate::wind::lanes::{Knot, LaneWind, View, WindView};
 
 /// What carries the body in a model that steps side by side.
@@ -270,20 +270,25 @@ impl State {
         tolerance: Option<(f64, f64)>,
         bounded: bool,
     ) -> Stepped {
-        let q = self.invariant;
+        let (q, drawn) = (self.invariant, wind.drawn);
         let linear = grid.linear.get(steps.clone());
         let common = Common { grid, wind, steps, tolerance, bounded, state: &mut *self };
         if let Some(matrices) = linear {
-            return dispatch(StepKernel { field: Linear { matrices, q }, common });
+            return run(StepKernel { field: Linear { matrices, q }, common }, drawn);
         }
         let (carrier, drag) = (grid.carrier, grid.drag);
         let field = Anywhere { sea, carrier, drag, q, lost: [false; WIDTH] };
-        let (stepped, lost) = dispatch(WithLost(StepKernel { field, common }));
+        let (stepped, lost) = run(WithLost(StepKernel { field, common }), drawn);
         for (all, lost) in self.lost.iter_mut().zip(lost) {
             *all |= lost;
         }
         stepped
     }
+}
+
+/// Runs a kernel of steps: where the wind is drawn, that is what takes the time.
+fn run<K: WithSimd>(kernel: K, drawn: bool) -> K::Output {
+    if drawn { dispatch_narrow(kernel) } else { dispatch(kernel) }
 }
 
 /// What steps give beside the state.

@@ -1,11 +1,11 @@
 //! What draws of catalogue rows share: states, and single-precision numbers of several rows, leaves or
 //! columns, side by side.
 //!
-//! Plain loops that the compiler turns into vector instructions, within [`dispatch`], and those
+//! Plain loops that the compiler turns into vector instructions, within [`dispatch_narrow`], and those
 //! instructions where it does not find them; each operation is rounded once, so that every
 //! instruction set gives the same bits.
 //!
-//! [`dispatch`]: crate::lanes::dispatch
+//! [`dispatch_narrow`]: crate::lanes::dispatch_narrow
 
 #[cfg(target_arch = "x86_64")]
 use std::any::Any;
@@ -78,16 +78,6 @@ impl Abreast {
     /// Sums of the numbers up to each place, by doubling: of the last two, four, eight, all.
     #[inline(always)]
     pub(super) fn running<S: Simd>(self, simd: S) -> Self {
-        if in_one_register::<S>() {
-            let places: S::f32s = cast(PLACES);
-            let mut sums: S::f32s = cast(self.0);
-            for step in [1, 2, 4, 8] {
-                let there = simd.greater_than_or_equal_f32s(places, simd.splat_f32s(step as f32));
-                let before = simd.rotate_right_f32s(sums, step);
-                sums = simd.add_f32s(sums, simd.select_f32s(there, before, simd.splat_f32s(0.0)));
-            }
-            return Self(cast(sums));
-        }
         #[cfg(target_arch = "x86_64")]
         if let Some(simd) = two_registers(simd) {
             return Self(cast(running_in_two(simd, cast(self.0))));
@@ -127,10 +117,6 @@ impl Abreast {
     /// Place of the first number above another one; [`ABREAST`] if there is none.
     #[inline(always)]
     pub(super) fn first_above<S: Simd>(&self, simd: S, other: f32) -> usize {
-        if in_one_register::<S>() {
-            let above = simd.greater_than_f32s(cast(self.0), simd.splat_f32s(other));
-            return cast::<_, u16>(above).trailing_zeros() as usize;
-        }
         #[cfg(target_arch = "x86_64")]
         if let Some(simd) = two_registers(simd) {
             let (other, [first, last]) = (simd.splat_f32x8(other), cast(self.0));
@@ -143,13 +129,6 @@ impl Abreast {
         }
         self.0.iter().position(|number| *number > other).unwrap_or(ABREAST)
     }
-}
-
-/// Whether an instruction set takes all places at once, with a bit of a mask for each. What is told
-/// of them then spares the compiler what it does not find.
-#[inline(always)]
-fn in_one_register<S: Simd>() -> bool {
-    S::F32_LANES == ABREAST && size_of::<S::m32s>() == size_of::<u16>()
 }
 
 /// The instruction set that takes half of the places at once, if it is that one.
@@ -178,9 +157,6 @@ fn running_in_two(simd: V3, [mut first, mut last]: [__m256; 2]) -> [__m256; 2] {
     }
     [first, add(last, cast(first))]
 }
-
-const PLACES: [f32; ABREAST] =
-    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
 
 impl Index<usize> for Abreast {
     type Output = f32;

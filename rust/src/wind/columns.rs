@@ -28,7 +28,7 @@ use super::abreast::{
     ABREAST, Abreast, Each, JUST_ABOVE, LEAST_TOTAL, MAX_DIMENSION, MAX_TRIALS, State, States,
     each, greater, less_distance2, lesser, part,
 };
-use crate::lanes::{WIDTH, dispatch};
+use crate::lanes::{WIDTH, dispatch_narrow};
 
 /// Most of the last components, whose kernels are summed in the table of the columns, and in that of
 /// the bundles.
@@ -348,7 +348,7 @@ impl Columns {
     /// Bounds of all bundles, of all columns, and the weights of all rows at a state, in common
     /// units.
     fn weigh(&self, state: &State) -> [Vec<f32>; 3] {
-        dispatch(Weigh { columns: self, state })
+        dispatch_narrow(Weigh { columns: self, state })
     }
 
     /// Draws a row for some of the states, each by a random stream of its own, by the weights there;
@@ -361,7 +361,7 @@ impl Columns {
         scratch: &mut Scratch,
         drawn: &mut Each<Option<usize>>,
     ) {
-        dispatch(Draw { columns: self, states, numbers, rngs, scratch, drawn });
+        dispatch_narrow(Draw { columns: self, states, numbers, rngs, scratch, drawn });
     }
 }
 

@@ -242,6 +242,7 @@ fn sums_of(integrals: [LaneVec2; 2], wind: &LaneVec2) -> Sums {
     [single, double]
 }
 
+/// Knots are asked for so far ahead.
 const AHEAD: usize = 16;
 /// Knots that have been passed are dropped when there are so many of them.
 const KEPT_KNOTS: usize = 16;
@@ -424,6 +425,7 @@ impl<'a> LaneWind<'a> {
 
     fn view_of<'b, K>(&'b self, velocity: &'b [K], excess: &'b [LaneVec2]) -> WindView<'b, K> {
         WindView {
+            drawn: matches!(self.source, Source::Drawn { .. }),
             velocity,
             excess,
             spacing: self.spacing,
@@ -489,6 +491,8 @@ pub(crate) enum View<'a> {
 /// The knots around one step, and the sums up to the first of them.
 #[derive(Clone, Copy)]
 pub(crate) struct WindView<'a, K> {
+    /// Whether they are drawn, and not in memory.
+    pub(crate) drawn: bool,
     velocity: &'a [K],
     excess: &'a [LaneVec2],
     spacing: f64,
@@ -779,6 +783,7 @@ mod tests {
         let excess = [0.1, -0.2, 0.5].map(|e| [Lanes::splat(e), Lanes::splat(e)]);
         let sums = [[Lanes::ZERO; 2]; 2];
         let view = WindView {
+            drawn: true,
             velocity: &knots,
             excess: &excess,
             spacing: 0.5,

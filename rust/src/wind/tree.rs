@@ -7,7 +7,7 @@ use super::abreast::{
     ABREAST, Abreast, LEAST_TOTAL, LOOSEST, MAX_DIMENSION, MAX_TRIALS, State, greater,
     less_distance2, part, power_above,
 };
-use crate::lanes::dispatch;
+use crate::lanes::dispatch_narrow;
 
 /// Most leaves.
 const MAX_LEAVES: usize = 1 << 14;
@@ -146,7 +146,7 @@ impl Tree {
 
     /// Works out the bounds of the leaves at `z`.
     fn bounds(&self, z: &[f64], bandwidth: f64, scratch: &mut Scratch) -> Bounded {
-        dispatch(Bounds(self.at(z, bandwidth, scratch)))
+        dispatch_narrow(Bounds(self.at(z, bandwidth, scratch)))
     }
 
     /// Draws a row, or gives up after many trials.
@@ -157,7 +157,7 @@ impl Tree {
         rng: &mut R,
         scratch: &mut Scratch,
     ) -> Option<usize> {
-        dispatch(Draw(self.at(z, bandwidth, scratch), rng))
+        dispatch_narrow(Draw(self.at(z, bandwidth, scratch), rng))
     }
 }
 
