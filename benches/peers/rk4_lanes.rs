@@ -1,4 +1,4 @@
-//! The paper's full system in its four-dimensional form by RK4 on the wind's knots, eight members
+//! The paper's full system in its four-dimensional form by RK4 on the wind's knots, sixteen members
 //! at a time: what SIMD lanes alone give, the equations and the method being those of the peers.
 //!
 //! `rustc --edition 2024 -O -C target-cpu=native --crate-type cdylib rk4_lanes.rs`, for
@@ -7,8 +7,8 @@
 use std::array::from_fn;
 use std::f64::consts::{PI, TAU};
 
-const LANES: usize = 8;
-/// One number of each of eight members.
+const LANES: usize = 16;
+/// One number of each of sixteen members.
 type Lanes = [f64; LANES];
 /// Both components of the wind at a knot, or of a position.
 type Pair = [Lanes; 2];
@@ -45,25 +45,28 @@ impl Forcing {
     #[inline(always)]
     fn rate(&self, [x, y, u, v]: State, wind: [f64; 2]) -> State {
         let tide = self.a * x;
-        let change = self.a_rate * x + self.a * u;
-        let residual = self.residual_rate * y + self.residual * v;
-        let push = |i: usize| self.wave_rate[i] * tide + self.wave[i] * change + residual + wind[i];
-        [u, v, push(0) - u, push(1) - v]
+        let change = self.a_rate.mul_add(x, self.a * u);
+        let residual = self.residual_rate.mul_add(y, self.residual * v);
+        let push = |i: usize, speed: f64| {
+            let blown = residual + (wind[i] - speed);
+            self.wave_rate[i].mul_add(tide, self.wave[i].mul_add(change, blown))
+        };
+        [u, v, push(0, u), push(1, v)]
     }
 }
 
 /// `a + h b`.
 #[inline(always)]
 fn add(a: State, h: f64, b: State) -> State {
-    from_fn(|i| a[i] + h * b[i])
+    from_fn(|i| h.mul_add(b[i], a[i]))
 }
 
-/// Follows eight members under the wind at their knots from `t = 0` to 1.
+/// Follows sixteen members under the wind at their knots from `t = 0` to 1.
 fn follow(forcing: &[Forcing], wind: &[Pair]) -> Pair {
     let step = 1.0 / (wind.len() - 1) as f64;
     let mut states = [[1.0; LANES], [1.0; LANES], [0.0; LANES], [0.0; LANES]];
     for (ends, stages) in wind.windows(2).zip(forcing.windows(3).step_by(2)) {
-        // The members do the same: the compiler takes one vector register for all of them.
+        // The members do the same: the compiler takes vector registers for all of them.
         for lane in 0..LANES {
             let state = from_fn(|i| states[i][lane]);
             let [start, end]: [[f64; 2]; 2] = from_fn(|k| from_fn(|i| ends[k][i][lane]));
@@ -73,14 +76,15 @@ fn follow(forcing: &[Forcing], wind: &[Pair]) -> Pair {
             let k3 = stages[1].rate(add(state, step / 2.0, k2), middle);
             let k4 = stages[2].rate(add(state, step, k3), end);
             for i in 0..4 {
-                states[i][lane] += step / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+                let sum = (k2[i] + k3[i]).mul_add(2.0, k1[i] + k4[i]);
+                states[i][lane] = sum.mul_add(step / 6.0, states[i][lane]);
             }
         }
     }
     [states[0], states[1]]
 }
 
-/// Winds (blocks, knots, 2, 8) to positions (blocks, 2, 8) at `t = 1`.
+/// Winds (blocks, knots, 2, 16) to positions (blocks, 2, 16) at `t = 1`.
 ///
 /// # Safety
 ///

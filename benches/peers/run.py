@@ -202,7 +202,7 @@ def full_system(contest: Contest, effort: Effort, reference: list[list[float]]) 
         ("driftcore-fixed", "driftcore, fixed steps", steps),
         ("driftcore", "driftcore, adaptive", tolerances),
         ("driftcore-drawn", "driftcore, fixed steps, winds drawn too", steps),
-        ("rust-lanes", "Rust, 8 lanes, RK4, 4-D form", knots),
+        ("rust-lanes", "Rust, 16 lanes, RK4, 4-D form", knots),
         ("jax", "JAX scan, RK4, 4-D form", knots),
         ("odeint", "Boost odeint runge_kutta4, 4-D form", knots),
         ("odeint", "Boost odeint dopri5, 4-D form", tolerances),

@@ -198,7 +198,7 @@ def odeint(folder: str) -> Peer:
 
 
 def rust_lanes(folder: str) -> Peer:
-    """RK4 on the knots in Rust, eight members at a time: `rk4_lanes.rs`."""
+    """RK4 on the knots in Rust, sixteen members at a time: `rk4_lanes.rs`."""
     library = ctypes.CDLL(str(Path(folder) / "rust-lanes.so"))
     library.solve.argtypes = [ctypes.c_double, ctypes.c_void_p, *[ctypes.c_size_t] * 2]
     library.solve.argtypes = [*library.solve.argtypes, ctypes.c_void_p]
@@ -206,11 +206,13 @@ def rust_lanes(folder: str) -> Peer:
 
     def peer(members: int, setting: Any) -> Job:
         del setting
-        blocks = -(-members // 8)
-        winds = np.zeros((blocks * 8, KNOTS + 1, 2))
+        width = 16
+        blocks = -(-members // width)
+        winds = np.zeros((blocks * width, KNOTS + 1, 2))
         winds[:members] = load_winds(folder, members)
-        lanes = np.ascontiguousarray(winds.reshape(blocks, 8, KNOTS + 1, 2).transpose(0, 2, 3, 1))
-        out = np.empty((blocks, 2, 8))
+        winds = winds.reshape(blocks, width, KNOTS + 1, 2)
+        lanes = np.ascontiguousarray(winds.transpose(0, 2, 3, 1))
+        out = np.empty((blocks, 2, width))
 
         def job() -> Any:
             library.solve(EPSILON, lanes.ctypes.data, blocks, KNOTS + 1, out.ctypes.data)
