@@ -787,6 +787,29 @@ mod tests {
         }
     }
 
+    /// The lattice is no wider than needed for one of the two tables, and both have room.
+    #[test]
+    fn tables_have_room() -> Result<(), &'static str> {
+        let (mut by_columns, mut by_bundles) = (0, 0);
+        for registers in [1, 2, 15, 40, 100] {
+            for range in [8.0, 14.0, 20.0, 40.0] {
+                let ends = [0.0, 0.0, 0.0, 0.0, range, range, range, range];
+                let Some(axes) = Columns::lattice(&ends, 4, registers) else { continue };
+                let nodes = |axes: &[Axis]| axes.iter().map(|axis| axis.nodes).product::<usize>();
+                let of_bundles = nodes(&axes) * registers * ABREAST;
+                let of_columns = nodes(tabled(&axes)) * registers * ABREAST * BUNDLE;
+                assert!(of_bundles <= MAX_TABLE && of_columns <= MAX_TABLE, "{registers} {range}");
+                let widened = f64::from(axes[0].spacing) > 1.001 * SPACING;
+                by_columns += usize::from(widened && of_columns > of_bundles);
+                by_bundles += usize::from(widened && of_columns < of_bundles);
+            }
+        }
+        assert!(by_columns > 0 && by_bundles > 0, "{by_columns} {by_bundles}");
+        let axes = Columns::lattice(&[0.0, 0.0, 6.0, 6.0], 2, 1).ok_or("no room for 49 nodes")?;
+        assert!(axes.iter().all(|axis| axis.nodes == 7));
+        Ok(())
+    }
+
     #[test]
     fn what_is_too_far_has_none() {
         assert!(Columns::new(&states(333, 4), 4, 1e-3).is_none());
