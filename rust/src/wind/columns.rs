@@ -300,7 +300,7 @@ impl Columns {
     /// Sums the bounds of each bundle's columns at the nodes of the lattice.
     fn sum_bundles(&mut self) {
         let registers = self.registers * BUNDLE;
-        let first = &self.lattice[..self.lattice.len() - tabled(&self.lattice).len()];
+        let first = &self.lattice[..boxed(self.lattice.len())];
         let nodes = self.sums.chunks_exact(registers).map(|sums| {
             sums.iter().flat_map(|sums| sums.0).map(|sum| f64::from(sum).exp2()).collect()
         });
@@ -367,10 +367,10 @@ impl Columns {
 
 /// The components of a lattice that the columns' table is of.
 fn tabled(lattice: &[Axis]) -> &[Axis] {
-    &lattice[lattice.len().saturating_sub(TABLED)..]
+    &lattice[boxed(lattice.len())..]
 }
 
-/// How many components are before those.
+/// How many of `d` components are before those.
 #[inline(always)]
 fn boxed(d: usize) -> usize {
     d.saturating_sub(TABLED)
